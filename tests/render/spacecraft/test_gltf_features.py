@@ -69,7 +69,7 @@ class File:
                 "bufferView": self.view(values.tobytes()),
                 "componentType": KINDS[values.dtype],
                 "count": len(values),
-                "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[width],
+                "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}[width],
                 **more,
             }
         )
@@ -183,6 +183,62 @@ def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
     attributes = {"attributes": {"TRANSLATION": copies}}
     file.header["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": attributes}
     assert set(file.load(tmp_path).mesh.vertices[:, 2].round(6)) == {0.0, 4.0}
+
+
+def skinned(**skin):
+    """A square of which joints take vertices, in a node whose own place does not count."""
+    file = File()
+    file.attributes["NORMAL"] = file.accessor(np.tile(np.float32([0, 0, 1]), (4, 1)))
+    joints = np.array([[0, 1, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0]], np.uint8)
+    shares = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0.5, 0.5, 0, 0], [0, 0, 0, 0]], np.float32)
+    file.attributes |= {"JOINTS_0": file.accessor(joints), "WEIGHTS_0": file.accessor(shares)}
+    bind = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
+    bind[0, 0, 3] = -1  # where the first joint is: it changes nothing
+    quarter = np.sqrt(0.5)
+    file.header["nodes"] = [
+        {"mesh": 0, "skin": 0, "translation": [9, 9, 9]},
+        {"translation": [1, 0, 0], "children": [2]},
+        {"translation": [0, 0, 2], "rotation": [quarter, 0, 0, quarter]},
+    ]
+    file.header["scenes"] = [{"nodes": [0, 1]}]
+    columns = bind.swapaxes(1, 2).reshape(2, 16)
+    file.header["skins"] = [
+        {"joints": [1, 2], "inverseBindMatrices": file.accessor(columns), **skin}
+    ]
+    return file
+
+
+def test_joints_of_a_skin_take_its_vertices(tmp_path):
+    mesh = skinned().load(tmp_path).mesh
+    # A quarter turn about x takes (x, y, 0) to (x, 0, y); the second joint is at (1, 0, 2).
+    expected = [[-1, -1, 0], [2, 0, 1], [1.5, 0.5, 1.5], [0, 0, 3]]
+    np.testing.assert_allclose(mesh.vertices, expected, atol=1e-6)
+    np.testing.assert_allclose(
+        mesh.corner_normals[0],
+        [[0, 0, 1], [0, -1, 0], [0, -np.sqrt(0.5), np.sqrt(0.5)]],
+        atol=1e-6,
+    )
+
+
+def test_a_skin_without_bind_matrices_and_a_mesh_without_joints(tmp_path):
+    file = skinned()
+    del file.header["skins"][0]["inverseBindMatrices"]
+    np.testing.assert_allclose(file.load(tmp_path).mesh.vertices[0], [0, -1, 0], atol=1e-6)
+    del file.attributes["JOINTS_0"]
+    np.testing.assert_allclose(file.load(tmp_path).mesh.vertices, SQUARE + 9, atol=1e-6)
+
+
+def test_joints_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(DataError, match="expected joints 0…0, got 0…1"):
+        skinned(joints=[1]).load(tmp_path)
+    file = skinned()
+    file.header["scenes"] = [{"nodes": [0]}]
+    with pytest.raises(DataError, match="expected joints of skin 0 in the scene, got node 1"):
+        file.load(tmp_path)
+    del file.attributes["WEIGHTS_0"]
+    file.header["scenes"] = [{"nodes": [0, 1]}]
+    with pytest.raises(DataError, match="got one without 'WEIGHTS_0'"):
+        file.load(tmp_path)
 
 
 def test_a_mirror_keeps_outside_out(tmp_path):

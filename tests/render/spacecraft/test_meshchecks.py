@@ -10,6 +10,7 @@ from PIL import Image
 
 from ffpose.errors import DataError
 from ffpose.render import load_craft
+from ffpose.render.spacecraft.textures import CLAMP, REPEAT
 
 POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -213,9 +214,10 @@ def test_a_binary_ply_that_is_cut_short_is_refused(tmp_path, share):
     assert refused(tmp_path, "cut.ply", content[: int(share * len(content))])
 
 
-def stl(triangles, stated, head=b""):
+def stl(triangles, stated, head=b"", codes=(0, 0, 0, 0)):
     body = b"".join(
-        struct.pack("<3f", 0, 0, 0) + np.float32(t).tobytes() + b"\0\0" for t in triangles
+        struct.pack("<3f", 0, 0, 0) + np.float32(t).tobytes() + struct.pack("<H", code)
+        for t, code in zip(triangles, codes, strict=True)
     )
     return head.ljust(80, b"\0") + struct.pack("<I", stated) + body
 
@@ -233,6 +235,34 @@ def test_a_binary_stl_of_another_size_is_refused(tmp_path):
             whole[:83]: "84 bytes before the triangles, got 83",
         }.items():
             assert refused(tmp_path, "other.stl", content) == (None, f"expected {message}")
+
+
+PART = b"COLOR=\xff\x00\x99\xff,MATERIAL="
+RED, GREEN, BLUE, PINK, GRAY = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 0, 153), (102,) * 3
+HIGH = 0x8000
+SRGB = {0: 0.0, 102: 0.132868, 153: 0.318547, 255: 1.0}
+"""Light of sRGB codes, by hand."""
+
+
+@pytest.mark.parametrize(
+    ("head", "codes", "colors"),
+    [
+        (b"", (31 << 10 | HIGH, 31 << 5 | HIGH, 31 | HIGH, 31), (RED, GREEN, BLUE, GRAY)),
+        (b"", (0, 1, 2, 31), (GRAY,) * 4),
+        (PART, (31, 31 << 5, 31 << 10, HIGH), (RED, GREEN, BLUE, PINK)),
+        (PART, (31 | HIGH, 31 << 5 | HIGH, 31 << 10 | HIGH, HIGH), (RED, GREEN, BLUE, (0, 0, 0))),
+        (PART, (HIGH,) * 4, (PINK,) * 4),
+        (PART, (0,) * 4, (PINK,) * 4),
+        (b"COLOR=", (31, 31, 31, 31), (GRAY,) * 4),
+    ],
+    ids=["viscam", "neither", "magics", "meshlab", "part", "head", "cut"],
+)
+def test_the_colors_of_binary_stl_files(tmp_path, head, codes, colors):
+    triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)
+    (tmp_path / "colors.stl").write_bytes(stl(triangles, 4, head.rjust(80), codes))
+    found = load_craft(tmp_path / "colors.stl").mesh.colors[:, 0, :3]
+    expected = [[SRGB[code] for code in color] for color in colors]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "latin-1"])
@@ -295,13 +325,46 @@ def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, c
     (tmp_path / "paint").mkdir()
     Image.new("RGB", (4, 2), "red").save(tmp_path / "paint" / "solar panel.png")
     Image.new("RGB", (2, 2), "red").save(tmp_path / "panel.png")
-    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on solar panel.png\n"
+    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on -blendu off solar panel.png\n"
     (tmp_path / "paint" / "a.mtl").write_text(line)
     text = "mtllib paint/a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
     (tmp_path / "a.obj").write_text(text)
     image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
     assert (image.width, image.height) == (4, 2)
-    assert "options of textures are left out: -s 2 -0.5 1 -clamp on solar panel.png" in caplog.text
+    assert "a.obj: options of a texture are left out: -blendu off\n" in caplog.text
+
+
+def test_options_of_textures_scale_move_and_clamp_them(tmp_path):
+    """As other readers take them: coordinates times -s plus -o."""
+    for name in ("a.png", "n.png"):
+        Image.new("RGB", (4, 4), "white").save(tmp_path / name)
+    lines = "newmtl a\nmap_Kd -s 2 -0.5 1 -o 0.25 a.png\nnorm -bm 0.5 -clamp on n.png\n"
+    (tmp_path / "a.mtl").write_text(lines)
+    text = "mtllib a.mtl\n" + POINTS + "vt 0.5 0.5\nvt 1 0\nvt 0 1\nusemtl a\n"
+    (tmp_path / "a.obj").write_text(text + "f 1/1 3/2 2/3\n")
+    craft = load_craft(tmp_path / "a.obj")
+    color, normal = craft.mesh.layers
+    np.testing.assert_allclose(color[0], [[1.25, 1.25], [2.25, 1], [0.25, 1.5]])
+    np.testing.assert_allclose(normal[0], [[0.5, 0.5], [1, 1], [0, 0]])
+    material = craft.materials[0]
+    assert (material.color_map.layer, material.normal_map.layer) == (0, 1)
+    assert (material.color_map.image.wrap, material.normal_map.image.wrap) == (
+        (REPEAT, REPEAT),
+        (CLAMP, CLAMP),
+    )
+    # White stands for (1, 1, 1), of which the first two are halved.
+    expected = np.array([0.5, 0.5, 1, 0]) / np.sqrt(1.5)
+    np.testing.assert_allclose(material.normal_map.image.level(0)[0, 0], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("option", ["-s r b", "-clamp 2", "-bm on", "-o off"])
+def test_a_value_that_its_option_does_not_have_is_refused(tmp_path, option):
+    Image.new("RGB", (4, 2), "red").save(tmp_path / "a.png")
+    (tmp_path / "a.mtl").write_text(f"newmtl a\nmap_Kd {option} a.png\n")
+    text = "mtllib a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\n"
+    key, _, values = option.partition(" ")
+    expected = f"after {key} of a texture, got {values!r}"
+    assert refused(tmp_path, "a.obj", text)[1].endswith(expected)
 
 
 @pytest.mark.parametrize("binary", [False, True])

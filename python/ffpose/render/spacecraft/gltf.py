@@ -2,16 +2,14 @@
 
 Of all sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures
 and copies of nodes trimesh reads some at most, so it is not used here. Sections are those of the
-specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn where their
-node is, without joints, animations and morph targets as they are at the start; occlusion textures
-are left out, as light is traced.
+specification (Khronos Group, "glTF 2.0 Specification", 2021). Joints, animations and morph targets
+are as they are at the start; occlusion textures are left out, as light is traced.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-import logging
 import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -24,8 +22,6 @@ from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
 from ffpose.render.spacecraft.parts import Part, check_shape
-
-logger = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 Header = dict[str, Any]
@@ -49,15 +45,25 @@ CORNERS = 3
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have faces (section 3.7.2.1)."""
 
+SETS = ("TEXCOORD_", "JOINTS_", "WEIGHTS_")
+"""Beginnings of the names of attributes of which a primitive may have several."""
+
 CODES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 class Placed(NamedTuple):
-    """A primitive in the scene: its key, the numbers of mesh and primitive, and place (4, 4)."""
+    """A primitive in the scene.
+
+    Attributes:
+        key: The numbers of mesh and primitive.
+        places: (1, 4, 4) where it is, or (J, 4, 4) where the joints of its skin take it.
+        skinned: Whether each vertex moves with joints of a skin.
+    """
 
     key: Key
-    place: Floats
+    places: Floats
+    skinned: bool = False
 
 
 def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
@@ -83,7 +89,7 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
 def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document = _Document(content, assets, most_faces)
     placed = list(document.placed())
-    if not all(np.isfinite(item.place).all() for item in placed):
+    if not all(np.isfinite(item.places).all() for item in placed):
         raise DataError("expected finite places of meshes, got NaN or infinity", assets.source)
     count = sum(document.face_count(item.key) for item in placed)
     if count > most_faces:
@@ -95,13 +101,13 @@ def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     shapes = {key: document.shape(key) for key in drawn}
     materials = Materials(document.header, document.image_bytes, assets.source)
     return [
-        _part(shapes[item.key], materials, document.primitive(item.key).get("material"), item.place)
+        _part(shapes[item.key], materials, document.primitive(item.key).get("material"), item)
         for item in placed
         if item.key in shapes
     ]
 
 
-def _part(shape: Shape, materials: Materials, number: int | None, place: Floats) -> Part:
+def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) -> Part:
     """Return a primitive in its place, with its material and the coordinates of its textures."""
     material, sources = materials.get(number)
     layers = []
@@ -112,13 +118,14 @@ def _part(shape: Shape, materials: Materials, number: int | None, place: Floats)
         if not np.isfinite(coordinates).all():
             raise ValueError("expected finite texture coordinates, got NaN or infinity")
         layers.append(source.transformed(coordinates))
-    faces, turn = shape["faces"].astype(np.int64), place[:3, :3]
-    if np.linalg.det(turn) < 0:
+    places = _blended(shape, item.places) if item.skinned else item.places
+    faces, turns = shape["faces"].astype(np.int64), places[:, :3, :3]
+    if np.median(np.linalg.det(turns)) < 0:
         faces = faces[:, ::-1]
-    vertices = shape["POSITION"] @ turn.T + place[:3, 3]
+    vertices = _turned(shape["POSITION"], turns) + places[:, :3, 3]
     normals = shape.get("NORMAL")
     if normals is not None:
-        normals = normals.astype(np.float64) @ _cofactors(turn).T
+        normals = _turned(normals.astype(np.float64), _cofactors(turns))
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
         normals = normals.astype(np.float32)
@@ -130,11 +137,42 @@ def _part(shape: Shape, materials: Materials, number: int | None, place: Floats)
     return Part(vertices, faces, material, normals, colors, tuple(layers))
 
 
-def _cofactors(matrix: Floats) -> Floats:
-    """Return the cofactors (3, 3), by which normals turn; those of a mirror point inward too."""
-    a, b, c = matrix
-    sign = -1.0 if np.linalg.det(matrix) < 0 else 1.0
-    return sign * np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+def _blended(shape: Shape, joints: Floats) -> Floats:
+    """Return where a skin takes each vertex (V, 4, 4): means of its joints (section 3.7.3.3).
+
+    A vertex whose weights are all zero moves with the first joint that it names.
+    """
+    sets = [name.removeprefix("JOINTS_") for name in shape if name.startswith("JOINTS_")]
+    numbers = np.concatenate([shape[f"JOINTS_{name}"] for name in sets], axis=1).astype(np.intp)
+    weights = np.concatenate([shape[f"WEIGHTS_{name}"] for name in sets], axis=1).astype(np.float64)
+    if not np.isfinite(weights).all():
+        raise ValueError("expected finite weights of joints, got NaN or infinity")
+    if numbers.min() < 0 or numbers.max() >= len(joints):
+        got = f"{numbers.min()}…{numbers.max()}"
+        raise ValueError(f"expected joints 0…{len(joints) - 1}, got {got}")
+    weights[weights.sum(axis=1) == 0, 0] = 1
+    weights /= weights.sum(axis=1, keepdims=True)
+    places = np.zeros((len(numbers), 4, 4))
+    for its, share in zip(numbers.T, weights.T, strict=True):
+        places += share[:, None, None] * joints[its]
+    return places
+
+
+def _turned(vectors: Floats, matrices: Floats) -> Floats:
+    """Return vectors (V, 3) by a matrix (1, 3, 3), or each by its own (V, 3, 3)."""
+    if len(matrices) == 1:
+        turned: Floats = vectors @ matrices[0].T
+    else:
+        turned = np.einsum("vij,vj->vi", matrices, vectors)
+    return turned
+
+
+def _cofactors(matrices: Floats) -> Floats:
+    """Return cofactors (N, 3, 3), by which normals turn; those of a mirror point inward too."""
+    a, b, c = (matrices[:, row] for row in range(3))
+    signs = np.where(np.linalg.det(matrices) < 0, -1.0, 1.0)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    return signs[:, None, None] * cofactors
 
 
 class _Document:
@@ -162,6 +200,22 @@ class _Document:
 
     def placed(self) -> Iterator[Placed]:
         """Yield the primitives of the default scene, from the roots of its nodes (section 3.5)."""
+        nodes, places = self.header.get("nodes", []), self._places()
+        for number, place in places.items():
+            node = nodes[number]
+            if "mesh" not in node:
+                continue
+            copies = self._instances(node.get("extensions", {}).get("EXT_mesh_gpu_instancing"))
+            for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
+                key = (node["mesh"], primitive)
+                if "skin" in node and "JOINTS_0" in self.primitive(key)["attributes"]:
+                    yield Placed(key, self._joints(node["skin"], places), True)
+                    continue
+                for copy in copies:
+                    yield Placed(key, (place @ copy)[None])
+
+    def _places(self) -> dict[int, Floats]:
+        """Return the places (4, 4) of the default scene's visible nodes, parents first."""
         nodes = self.header.get("nodes", [])
         scenes = self.header.get("scenes")
         if scenes:
@@ -172,6 +226,7 @@ class _Document:
             if nodes and not roots:
                 raise DataError("expected a tree of nodes, got a cycle", self.source)
         stack = [(number, np.eye(4)) for number in reversed(roots)]
+        places: dict[int, Floats] = {}
         seen: set[int] = set()
         while stack:
             number, above = stack.pop()
@@ -180,19 +235,24 @@ class _Document:
                 raise DataError(text, self.source)
             seen.add(number)
             node = nodes[number]
-            extensions = node.get("extensions", {})
-            if not extensions.get("KHR_node_visibility", {}).get("visible", True):
+            if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
                 continue
-            place = above @ _local(node)
-            stack += [(child, place) for child in reversed(node.get("children", []))]
-            if "mesh" not in node:
-                continue
-            if "skin" in node:
-                logger.warning("%s: joints of a skin are left out: node %d", self.source, number)
-            copies = self._instances(extensions.get("EXT_mesh_gpu_instancing"))
-            for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
-                for copy in copies:
-                    yield Placed((node["mesh"], primitive), place @ copy)
+            places[number] = above @ _local(node)
+            stack += [(child, places[number]) for child in reversed(node.get("children", []))]
+        return places
+
+    def _joints(self, number: int, places: dict[int, Floats]) -> Floats:
+        """Return where the joints of a skin take its vertices (J, 4, 4) (section 3.7.3.1)."""
+        skin = self.header["skins"][number]
+        missing = [joint for joint in skin["joints"] if joint not in places]
+        if missing:
+            text = f"expected joints of skin {number} in the scene, got node {missing[0]}"
+            raise DataError(f"{text}, which is not", self.source)
+        joints = np.stack([places[joint] for joint in skin["joints"]])
+        if "inverseBindMatrices" not in skin:
+            return joints
+        columns = self.values(skin["inverseBindMatrices"])[: len(joints)]
+        return joints @ columns.astype(np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
 
     def primitive(self, key: Key) -> Header:
         """Return the header of a primitive."""
@@ -225,7 +285,7 @@ class _Document:
         packed = self._decoded(primitive, key[0])
         shape = {}
         for name, number in primitive["attributes"].items():
-            if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_"):
+            if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith(SETS):
                 normalized = bool(self.header["accessors"][number].get("normalized"))
                 shape[name] = (
                     _fractions(packed[name], normalized) if name in packed else self.values(number)

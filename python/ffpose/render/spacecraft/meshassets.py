@@ -10,15 +10,12 @@ import codecs
 import hashlib
 import io
 import json
-import logging
-import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 from ffpose.errors import DataError, require
-
-logger = logging.getLogger(__name__)
+from ffpose.render.spacecraft.mtloptions import OPTIONS
 
 MAX_BYTES = 1 << 30
 """Largest size of a mesh file, and of each file that it refers to."""
@@ -33,9 +30,6 @@ OTHERS = {
     b"iso-10303-21": "a STEP file: export it as triangles, as STL or glTF",
 }
 """What is met in place of a file of its name, by its beginning in small letters."""
-
-OPTIONS = re.compile(r"^(-[a-z]+(\s+([-+.\d][-+.\de]*|on|off|[rgbmlz]))+\s+)+")
-"""What stands before a texture's name in an MTL file: ``map_Kd -s 2 2 1 solar panel.png``."""
 
 NO_MATERIALS = ": put it there, or delete the line that names it for a gray spacecraft"
 
@@ -90,8 +84,6 @@ class Assets:
         except DataError as problem:
             self.problems.append(problem)
             raise
-        if OPTIONS.match(name):
-            logger.warning("%s: options of textures are left out: %s", self.source, name)
         self._digests[name] = hashlib.sha256(content).hexdigest()
         return content
 

@@ -17,13 +17,29 @@ from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, 
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
 from ffpose.render.spacecraft.meshchecks import checked, named_materials
+from ffpose.render.spacecraft.mtloptions import Options, texture_options
 from ffpose.render.spacecraft.parts import Part, check_shape
-from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
+from ffpose.render.spacecraft.stlcolors import stl_colors
+from ffpose.render.spacecraft.textures import (
+    CLAMP,
+    REPEAT,
+    Pyramid,
+    build_pyramid,
+    largest_side,
+    linear,
+)
 
 logger = logging.getLogger(__name__)
 
 ROUGHNESS = 0.55
 """Roughness of what has no material."""
+
+CONVERTS = {
+    "map_kd": color_of("BLEND", None),
+    "map_ke": color_of("OPAQUE", None),
+    "map_pr": values_of,
+}
+"""What turns codes into values, by the key of a texture; those of normals have options."""
 
 DIELECTRIC = 0.08
 """Reflectance that an MTL file's ``Ks`` of one stands for; a half is that of paint."""
@@ -50,7 +66,7 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
         for mesh in meshes:
             _check(mesh, assets)
         paints = _Paints(meshes, assets)
-        parts = [_part(mesh, paints) for mesh in meshes]
+        parts = [_part(mesh, paints, content) for mesh in meshes]
     except DataError:
         raise
     except Exception as error:  # a broken file makes the readers raise anything
@@ -78,7 +94,7 @@ def _check(mesh: Any, assets: Assets) -> None:
     check_shape(points, faces, assets.source)
 
 
-def _part(mesh: Any, paints: _Paints) -> Part:
+def _part(mesh: Any, paints: _Paints, content: bytes) -> Part:
     visual = mesh.visual
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     normals = None
@@ -87,22 +103,27 @@ def _part(mesh: Any, paints: _Paints) -> Part:
         length = np.linalg.norm(given, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, given / np.maximum(length, 1e-6), np.nan)
     if visual.kind == "texture":
-        material = paints.get(visual.material)
-        layers: tuple[NDArray[np.float32], ...] = ()
-        if material.maps:
+        material, sources = paints.get(visual.material)
+        layers: list[NDArray[np.float32]] = []
+        if sources:
             uv = np.zeros((len(vertices), 2)) if visual.uv is None else np.asarray(visual.uv)
             if visual.uv is None:
                 paints.miss(visual.material)
             if not np.isfinite(uv).all():
                 raise ValueError("expected finite texture coordinates, got NaN or infinity")
-            layers = (np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float32),)
+            layers = [options.placed(uv) for options in sources]
         colors = visual.vertex_attributes.get("color")
         light = None if colors is None else _light(colors)
-        return Part(vertices, faces, material, normals, light, layers)
+        return Part(vertices, faces, material, normals, light, tuple(layers))
     plain = Material((1.0, 1.0, 1.0), ROUGHNESS)
     if visual.kind == "vertex":
         return Part(vertices, faces, plain, normals, _light(visual.vertex_colors))
-    return Part(vertices, faces, plain, normals, _light(visual.face_colors)[:, None])
+    colors = visual.face_colors
+    codes = mesh.face_attributes.get("stl")  # of a binary file alone
+    if codes is not None:
+        found = stl_colors(content[:80], codes, colors[0])
+        colors = colors if found is None else found
+    return Part(vertices, faces, plain, normals, _light(colors)[:, None])
 
 
 def _light(codes: ArrayLike) -> NDArray[np.float32]:
@@ -119,8 +140,9 @@ class _Paints:
 
     def __init__(self, meshes: list[Any], assets: Assets) -> None:
         self._assets = assets
-        self._made: dict[int, Material] = {}
+        self._made: dict[int, tuple[Material, tuple[Options, ...]]] = {}
         self._images: dict[str, Any] = {}
+        self._options: dict[str, Options] = {}
         self._pyramids: dict[Any, Pyramid] = {}
         materials = [mesh.visual.material for mesh in meshes if mesh.visual.kind == "texture"]
         sizes: dict[Any, tuple[int, int]] = {}
@@ -132,8 +154,8 @@ class _Paints:
                     sizes[key, " ".join(material.kwargs[key])] = self._opened(material, key).size
         self._most = largest_side(list(sizes.values()))
 
-    def get(self, material: Any) -> Material:
-        """Return a material as the renderer has them."""
+    def get(self, material: Any) -> tuple[Material, tuple[Options, ...]]:
+        """Return a material as the renderer has them, and the sources of its textures."""
         if id(material) not in self._made:
             self._made[id(material)] = self._make(material)
         return self._made[id(material)]
@@ -143,7 +165,8 @@ class _Paints:
         text = "%s: material %r has a texture and no texture coordinates: of one color"
         logger.warning(text, self._assets.source, material.name)
 
-    def _make(self, material: Any) -> Material:
+    def _make(self, material: Any) -> tuple[Material, tuple[Options, ...]]:
+        sources: dict[Options, int] = {}
         if hasattr(material, "to_simple"):  # of a .ply file that names a texture
             material = material.to_simple()
         given, image = material.kwargs, material.image
@@ -160,23 +183,25 @@ class _Paints:
         shine = _triple(given.get("ks"))
         alpha = _number(given.get("d"), 1 - (_number(given.get("tr"), 0.0) or 0.0))
         glow = _triple(given.get("ke"))
-        return Material(
+        made = Material(
             three(linear(np.clip(color, 0, 1))),
             float(np.clip(1.0 if "map_pr" in given else rough, LEAST_ROUGHNESS, 1)),
             float(np.clip(_number(given.get("pm"), 0.0) or 0.0, 0, 1)),
             three(np.zeros(3) if glow is None else glow),
             reflectance=three(DIELECTRIC * np.clip((0.5,) * 3 if shine is None else shine, 0, 1)),
             alpha=float(np.clip(1.0 if alpha is None else alpha, 0, 1)),
-            color_map=self._texture(image, color_of("BLEND", None)),
-            roughness_map=self._named(material, "map_pr", values_of),
-            normal_map=self._named(material, "norm", normals_of(1.0)),
-            emission_map=self._named(material, "map_ke", color_of("OPAQUE", None)),
+            color_map=self._texture("map_kd", image, _file_name(image), sources),
+            roughness_map=self._named("map_pr", material, sources),
+            normal_map=self._named("norm", material, sources),
+            emission_map=self._named("map_ke", material, sources),
         )
+        return made, tuple(sources)
 
-    def _named(self, material: Any, key: str, convert: Convert) -> Texture | None:
+    def _named(self, key: str, material: Any, sources: dict[Options, int]) -> Texture | None:
         if key not in material.kwargs:
             return None
-        return self._texture(self._opened(material, key), convert)
+        name = " ".join(material.kwargs[key])
+        return self._texture(key, self._opened(material, key), name, sources)
 
     def _opened(self, material: Any, key: str) -> Any:
         name = " ".join(material.kwargs[key])
@@ -184,17 +209,30 @@ class _Paints:
             self._images[name] = open_image(self._assets.get(name), self._assets.source, repr(name))
         return self._images[name]
 
-    def _texture(self, image: Any, convert: Convert) -> Texture | None:
+    def _texture(
+        self, key: str, image: Any, name: str, sources: dict[Options, int]
+    ) -> Texture | None:
+        """Return a texture of a key, and note where its coordinates come from."""
         if image is None:
             return None
-        key = (id(image), convert.__qualname__)
-        if key not in self._pyramids:
+        if name not in self._options:
+            self._options[name] = texture_options(name, self._assets.source)
+        options = self._options[name]
+        convert = normals_of(options.multiplier) if key == "norm" else CONVERTS[key]
+        made = (id(image), key, options.clamp, options.multiplier)
+        if made not in self._pyramids:
+            wrap = (CLAMP, CLAMP) if options.clamp else (REPEAT, REPEAT)
             try:
-                self._pyramids[key] = build_pyramid(image, convert, self._most)
+                self._pyramids[made] = build_pyramid(image, convert, self._most, wrap)
             except (OSError, SyntaxError, ValueError) as error:
                 text = f"expected a texture that can be decoded, got {one_line(error)}"
                 raise DataError(text, self._assets.source) from error
-        return Texture(self._pyramids[key])
+        return Texture(self._pyramids[made], sources.setdefault(options, len(sources)))
+
+
+def _file_name(image: Any) -> str:
+    """Return the name of an image as an MTL file has it, with options."""
+    return "" if image is None else str(image.info.get("file_path", ""))
 
 
 def _number(words: Any, missing: float | None = None) -> float | None:
