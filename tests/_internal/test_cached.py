@@ -76,9 +76,13 @@ def test_a_child_forked_meanwhile_does_not_wait_for_the_thread_that_computes_it(
     thread, _ = first_asked(slow)
     child = os.fork()
     if child == 0:
-        signal.alarm(20)  # where it waits, it ends by this signal
-        _ = slow.value, Slow.value
-        os._exit(0)
+        status = 1
+        try:
+            signal.alarm(20)  # where it waits, it ends by this signal
+            _ = slow.value, Slow.value
+            status = 0
+        finally:
+            os._exit(status)
     status = os.waitpid(child, 0)[1]
     slow.go_on.set()
     thread.join()

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from ffpose._internal.signals import exit_on_sigterm, interrupts_held
+from ffpose._internal.signals import exit_on_sigterm, interrupts_held, signals_kept
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals end a process at once")
 
@@ -16,6 +16,36 @@ def test_sigterm_raises_in_the_block_alone():
         signal.raise_signal(signal.SIGTERM)
     assert ended.value.code == 143
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_an_ignored_sigterm_stays_ignored():
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with exit_on_sigterm():
+            signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("caught", [False, True])
+def test_a_block_that_catches_what_a_signal_raises_ends_with_it(caught):
+    reached = []
+
+    def interrupted():
+        with exit_on_sigterm(), signals_kept():
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except BaseException:
+                reached.append("the rest")
+                if not caught:
+                    raise
+        reached.append("what follows")
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    with pytest.raises(SystemExit):
+        interrupted()
+    assert reached == ["the rest"]
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
 
 
 def test_an_interrupt_comes_when_the_block_has_ended():

@@ -1,4 +1,4 @@
-"""A lock that works in forked processes."""
+"""Locks that work in forked processes."""
 
 from __future__ import annotations
 
@@ -6,22 +6,13 @@ import os
 import threading
 
 
-class Lock:
-    """Lock of a ``with`` block, free in a forked child, which lacks the thread that may hold it.
+def fork_safe_lock() -> threading.Lock:
+    """Return a lock that is free in a forked child, which lacks the thread that may hold it.
 
-    `threading.Lock` stays held there for good.
+    Others stay held there for good.
     """
-
-    def __init__(self) -> None:
-        self._renew()
-        if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._renew)
-
-    def _renew(self) -> None:
-        self._lock = threading.Lock()
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
+    lock = threading.Lock()
+    if hasattr(os, "register_at_fork"):
+        # As Python's own concurrent.futures does.
+        os.register_at_fork(after_in_child=lock._at_fork_reinit)  # type: ignore[attr-defined]
+    return lock

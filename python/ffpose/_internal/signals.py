@@ -5,17 +5,26 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import Any
 
 
 @contextmanager
 def exit_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM raise SystemExit in the block; only a main thread may handle signals."""
+    """Let SIGTERM raise SystemExit in the block, unless it is ignored.
+
+    Only a main thread may handle signals.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    before = signal.getsignal(signal.SIGTERM)
+    if before in (signal.SIG_IGN, None):  # None: a handler that is not of Python
+        yield
+        return
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         yield
     finally:
@@ -24,9 +33,10 @@ def exit_on_sigterm() -> Iterator[None]:
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back from this thread, and for good from the processes that the block starts.
+    """Hold Ctrl-C back for good from the processes that the block starts.
 
-    A process of Python imports modules before it can ignore a signal: it would print a traceback.
+    It waits for the end of the block in this process too, where that has no other threads. A
+    process of Python imports modules before it can ignore a signal: it would print a traceback.
     Windows holds nothing back.
     """
     if sys.platform == "win32":
@@ -40,6 +50,36 @@ def interrupts_held() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def signals_kept() -> Iterator[None]:
+    """Raise what SIGINT and SIGTERM raise again at the end of the block, if it caught that.
+
+    For calls of libraries that catch every exception and go on.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def keep(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        handlers[number](number, frame)
+
+    handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        if callable(handler):  # not the system's own, or none
+            handlers[number] = handler
+            signal.signal(number, keep)
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if came:
+        signal.raise_signal(came[0])
 
 
 def leave_interrupts_to_parent() -> None:

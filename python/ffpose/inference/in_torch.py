@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from ffpose._internal.locks import Lock
+from ffpose._internal.locks import fork_safe_lock
 from ffpose.models import find_device
 
 
@@ -22,8 +22,8 @@ class TorchSession:
     """A network in torch (`ffpose.onnx.backends.Session`), put in evaluation mode on a device.
 
     The model returns a named tuple of tensors. ``threads`` is the number within an image on the
-    CPU; as torch has one for the whole process, it is restored after each run. A forked child runs
-    on one thread, whatever the number (`torch_threads`).
+    CPU; as torch has one for the whole process, it is restored after each run. It is one in a child
+    forked from a process that has this module, whatever the number (`torch_threads`).
 
     Raises:
         ValueError: Torch does not find the device, or the number of threads is below one.
@@ -62,7 +62,7 @@ class _Threads:
         forked: Whether another process was forked to make this one.
     """
 
-    lock: Lock = field(default_factory=Lock)
+    lock: threading.Lock = field(default_factory=fork_safe_lock)
     blocks: int = 0
     own: _Own = field(default_factory=_Own)
     outside: int = 1

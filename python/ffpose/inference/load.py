@@ -43,7 +43,8 @@ def load(
             need no torch. None: what the file is for, of the runtimes the first that is installed;
             of a name torch, where it is installed.
         threads: Number of threads within an image, on the CPU; None for the backend's default. In
-            torch it is 1 in a forked process, with a `RuntimeWarning` where more are asked for.
+            torch it is 1 in a process forked from one that had loaded a network in torch, with a
+            `RuntimeWarning` where more are asked for.
         camera: Camera of the images, which are reprojected to the network's view if it is another
             than that of training; None for that of training: no ``camera.json`` is looked for.
         resize: Resize any image to the network's input, as if taken by the camera of training.

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ffpose.inference.in_torch import torch_threads
 from ffpose.learn.plan import Speed
 from ffpose.models import SecondLookNetwork, build_network
 from ffpose.models.base import find_device
@@ -66,16 +67,12 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
         np.zeros((0, 3)),
         device=device,
     )
-    threads = torch.get_num_threads()
-    own = threads // processes if device.type == "cpu" else 1  # workers have one thread each
-    torch.set_num_threads(max(1, own))
-    try:
+    threads = torch.get_num_threads() // processes
+    with torch_threads(max(1, threads) if device.type == "cpu" else 1):  # workers have one each
         rates = {
             autocast: _rate(replace(config, autocast=autocast), model, loss, batches, device)
             for autocast in ("none", "bfloat16")
         }
-    finally:
-        torch.set_num_threads(threads)
     best = max(rates, key=rates.__getitem__)
     together = 1 if processes == 1 else TOGETHER * processes
     stored = sum(array.nbytes for array in arrays.values()) // count

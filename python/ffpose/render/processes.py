@@ -11,7 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
-from ffpose._internal.locks import Lock
+from ffpose._internal.locks import fork_safe_lock
 from ffpose._internal.machine import environment, worker_processes
 from ffpose._internal.signals import interrupts_held, leave_interrupts_to_parent
 
@@ -68,7 +68,7 @@ def ahead(
         yield waiting.popleft().result()
 
 
-_starting = Lock()
+_starting = fork_safe_lock()
 """Lock of a thread that starts workers, as the environment is one for all threads."""
 
 _task: list[Callable[[Any], Any]] = []

@@ -183,6 +183,9 @@ def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
     attributes = {"attributes": {"TRANSLATION": copies}}
     file.header["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": attributes}
     assert set(file.load(tmp_path).mesh.vertices[:, 2].round(6)) == {0.0, 4.0}
+    file.header["nodes"][0]["extensions"] = {"KHR_node_visibility": {"visible": False}}
+    with pytest.raises(DataError, match="expected triangles, got none"):
+        file.load(tmp_path)
 
 
 def skinned(**skin):
@@ -222,6 +225,8 @@ def test_joints_of_a_skin_take_its_vertices(tmp_path):
 
 def test_a_skin_without_bind_matrices_and_a_mesh_without_joints(tmp_path):
     file = skinned()
+    joint = file.header["nodes"][1]
+    joint["extensions"] = {"KHR_node_visibility": {"visible": False}}  # the mesh is seen still
     del file.header["skins"][0]["inverseBindMatrices"]
     np.testing.assert_allclose(file.load(tmp_path).mesh.vertices[0], [0, -1, 0], atol=1e-6)
     del file.attributes["JOINTS_0"]
@@ -235,8 +240,13 @@ def test_joints_that_are_not_there_are_refused(tmp_path):
     file.header["scenes"] = [{"nodes": [0]}]
     with pytest.raises(DataError, match="expected joints of skin 0 in the scene, got node 1"):
         file.load(tmp_path)
-    del file.attributes["WEIGHTS_0"]
     file.header["scenes"] = [{"nodes": [0, 1]}]
+    (skin,) = file.header["skins"]
+    skin["joints"] = [1, 2, 0]
+    with pytest.raises(DataError, match="expected 3 bind matrices of skin 0, got 2"):
+        file.load(tmp_path)
+    skin["joints"] = [1, 2]
+    del file.attributes["WEIGHTS_0"]
     with pytest.raises(DataError, match="got one without 'WEIGHTS_0'"):
         file.load(tmp_path)
 

@@ -251,11 +251,12 @@ SRGB = {0: 0.0, 102: 0.132868, 153: 0.318547, 255: 1.0}
         (b"", (0, 1, 2, 31), (GRAY,) * 4),
         (PART, (31, 31 << 5, 31 << 10, HIGH), (RED, GREEN, BLUE, PINK)),
         (PART, (31 | HIGH, 31 << 5 | HIGH, 31 << 10 | HIGH, HIGH), (RED, GREEN, BLUE, (0, 0, 0))),
+        (PART, (HIGH | 31,) * 4, (RED,) * 4),
         (PART, (HIGH,) * 4, (PINK,) * 4),
         (PART, (0,) * 4, (PINK,) * 4),
         (b"COLOR=", (31, 31, 31, 31), (GRAY,) * 4),
     ],
-    ids=["viscam", "neither", "magics", "meshlab", "part", "head", "cut"],
+    ids=["viscam", "neither", "magics", "meshlab", "red", "part", "head", "cut"],
 )
 def test_the_colors_of_binary_stl_files(tmp_path, head, codes, colors):
     triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)
@@ -357,7 +358,9 @@ def test_options_of_textures_scale_move_and_clamp_them(tmp_path):
     np.testing.assert_allclose(material.normal_map.image.level(0)[0, 0], expected, atol=1e-3)
 
 
-@pytest.mark.parametrize("option", ["-s r b", "-clamp 2", "-bm on", "-o off"])
+@pytest.mark.parametrize(
+    "option", ["-s r b", "-clamp 2", "-bm on", "-o off", "-s 1e39", "-bm 1e999"]
+)
 def test_a_value_that_its_option_does_not_have_is_refused(tmp_path, option):
     Image.new("RGB", (4, 2), "red").save(tmp_path / "a.png")
     (tmp_path / "a.mtl").write_text(f"newmtl a\nmap_Kd {option} a.png\n")
@@ -365,6 +368,13 @@ def test_a_value_that_its_option_does_not_have_is_refused(tmp_path, option):
     key, _, values = option.partition(" ")
     expected = f"after {key} of a texture, got {values!r}"
     assert refused(tmp_path, "a.obj", text)[1].endswith(expected)
+
+
+def test_coordinates_that_a_transform_makes_infinite_are_refused(tmp_path):
+    Image.new("RGB", (4, 2), "red").save(tmp_path / "a.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd -s 3e38 1 1 a.png\n")
+    text = "mtllib a.mtl\n" + POINTS + "vt 2 0\nusemtl a\nf 1/1 3/1 2/1\n"
+    assert "expected finite texture coordinates" in refused(tmp_path, "a.obj", text)[1]
 
 
 @pytest.mark.parametrize("binary", [False, True])

@@ -57,7 +57,7 @@ class Placed(NamedTuple):
 
     Attributes:
         key: The numbers of mesh and primitive.
-        places: (1, 4, 4) where it is, or (J, 4, 4) where the joints of its skin take it.
+        places: (1, 4, 4) where it is, or (J, 4, 4) the joint matrices of its skin.
         skinned: Whether each vertex moves with joints of a skin.
     """
 
@@ -115,8 +115,6 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
         coordinates = shape.get(f"TEXCOORD_{source.set}")
         if coordinates is None:
             coordinates = np.zeros((len(shape["POSITION"]), 2), np.float32)
-        if not np.isfinite(coordinates).all():
-            raise ValueError("expected finite texture coordinates, got NaN or infinity")
         layers.append(source.transformed(coordinates))
     places = _blended(shape, item.places) if item.skinned else item.places
     faces, turns = shape["faces"].astype(np.int64), places[:, :3, :3]
@@ -138,9 +136,10 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
 
 
 def _blended(shape: Shape, joints: Floats) -> Floats:
-    """Return where a skin takes each vertex (V, 4, 4): means of its joints (section 3.7.3.3).
+    """Return where a skin takes each vertex (V, 3, 4): linear blend skinning (section 3.7.3.3).
 
-    A vertex whose weights are all zero moves with the first joint that it names.
+    ``joints`` (J, 4, 4) are the joint matrices. A vertex whose weights are all zero moves with the
+    first joint that it names.
     """
     sets = [name.removeprefix("JOINTS_") for name in shape if name.startswith("JOINTS_")]
     numbers = np.concatenate([shape[f"JOINTS_{name}"] for name in sets], axis=1).astype(np.intp)
@@ -152,9 +151,9 @@ def _blended(shape: Shape, joints: Floats) -> Floats:
         raise ValueError(f"expected joints 0…{len(joints) - 1}, got {got}")
     weights[weights.sum(axis=1) == 0, 0] = 1
     weights /= weights.sum(axis=1, keepdims=True)
-    places = np.zeros((len(numbers), 4, 4))
+    places = np.zeros((len(numbers), 3, 4))
     for its, share in zip(numbers.T, weights.T, strict=True):
-        places += share[:, None, None] * joints[its]
+        places += share[:, None, None] * joints[its, :3]
     return places
 
 
@@ -200,22 +199,22 @@ class _Document:
 
     def placed(self) -> Iterator[Placed]:
         """Yield the primitives of the default scene, from the roots of its nodes (section 3.5)."""
-        nodes, places = self.header.get("nodes", []), self._places()
+        nodes, (places, hidden) = self.header.get("nodes", []), self._places()
         for number, place in places.items():
             node = nodes[number]
-            if "mesh" not in node:
+            if "mesh" not in node or number in hidden:
                 continue
             copies = self._instances(node.get("extensions", {}).get("EXT_mesh_gpu_instancing"))
             for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
                 key = (node["mesh"], primitive)
                 if "skin" in node and "JOINTS_0" in self.primitive(key)["attributes"]:
-                    yield Placed(key, self._joints(node["skin"], places), True)
+                    yield Placed(key, self._joint_matrices(node["skin"], places), True)
                     continue
                 for copy in copies:
                     yield Placed(key, (place @ copy)[None])
 
-    def _places(self) -> dict[int, Floats]:
-        """Return the places (4, 4) of the default scene's visible nodes, parents first."""
+    def _places(self) -> tuple[dict[int, Floats], set[int]]:
+        """Return the places (4, 4) of the default scene's nodes, and which of them are hidden."""
         nodes = self.header.get("nodes", [])
         scenes = self.header.get("scenes")
         if scenes:
@@ -225,23 +224,24 @@ class _Document:
             roots = [number for number in range(len(nodes)) if number not in children]
             if nodes and not roots:
                 raise DataError("expected a tree of nodes, got a cycle", self.source)
-        stack = [(number, np.eye(4)) for number in reversed(roots)]
+        stack = [(number, np.eye(4), False) for number in reversed(roots)]
         places: dict[int, Floats] = {}
-        seen: set[int] = set()
+        hidden: set[int] = set()
         while stack:
-            number, above = stack.pop()
-            if number in seen:
+            number, above, unseen = stack.pop()
+            if number in places:
                 text = f"expected a tree of nodes, got node {number} in a cycle or twice"
                 raise DataError(text, self.source)
-            seen.add(number)
             node = nodes[number]
-            if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
-                continue
-            places[number] = above @ _local(node)
-            stack += [(child, places[number]) for child in reversed(node.get("children", []))]
-        return places
+            shown = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
+            if unseen or not shown:
+                hidden.add(number)
+            place = places[number] = above @ _local(node)
+            children = reversed(node.get("children", []))
+            stack += [(child, place, number in hidden) for child in children]
+        return places, hidden
 
-    def _joints(self, number: int, places: dict[int, Floats]) -> Floats:
+    def _joint_matrices(self, number: int, places: dict[int, Floats]) -> Floats:
         """Return where the joints of a skin take its vertices (J, 4, 4) (section 3.7.3.1)."""
         skin = self.header["skins"][number]
         missing = [joint for joint in skin["joints"] if joint not in places]
@@ -252,6 +252,9 @@ class _Document:
         if "inverseBindMatrices" not in skin:
             return joints
         columns = self.values(skin["inverseBindMatrices"])[: len(joints)]
+        if len(columns) < len(joints):
+            text = f"expected {len(joints)} bind matrices of skin {number}, got {len(columns)}"
+            raise DataError(text, self.source)
         return joints @ columns.astype(np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
 
     def primitive(self, key: Key) -> Header:

@@ -8,9 +8,8 @@ it would be dark in the shadow too. What transmits lets through as much light wi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from ffpose.render.spacecraft.textures import (
     REPEAT,
     Convert,
     Pyramid,
+    Source,
     build_pyramid,
     largest_side,
     linear,
@@ -44,22 +44,6 @@ MEAN_SIDE = 64
 
 LIGHT = linear(np.arange(256) / 255).astype(np.float32)
 """Linear light of the codes of eight bits."""
-
-
-class Source(NamedTuple):
-    """Where the coordinates of a texture come from: a set, and KHR_texture_transform."""
-
-    set: int
-    offset: tuple[float, float] = (0.0, 0.0)
-    rotation: float = 0.0
-    scale: tuple[float, float] = (1.0, 1.0)
-
-    def transformed(self, coordinates: NDArray[Any]) -> Floats:
-        """Return coordinates (V, 2) scaled, then rotated, then moved."""
-        c, s = math.cos(self.rotation), math.sin(self.rotation)
-        turn = np.array([[c, s], [-s, c]])
-        placed = coordinates.astype(np.float64) * self.scale @ turn.T + self.offset
-        return np.asarray(placed, np.float32)
 
 
 class Materials:

@@ -23,6 +23,9 @@ from ffpose.render.spacecraft.trimeshparts import read_trimesh
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf")
 MAX_FACES = 2_000_000
 
+READING = 2
+"""Version of how files are read; images of a file that was read otherwise are rendered again."""
+
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 """An axis of a mesh file."""
 
@@ -87,7 +90,7 @@ def load_craft(
         materials = tuple(replace(material, two_sided=True) for material in materials)
     # The name goes into the manifest, so it must identify everything the images depend on.
     digest = assets.digest(content)
-    changes = [f"scale:{scale!r}", f"up:{up}"]
+    changes = [f"scale:{scale!r}", f"up:{up}", f"reading:{READING}"]
     changes += ["centered"] * center + ["two-sided"] * two_sided
     return Craft(f"{source.name} sha256:{digest} {' '.join(changes)}", mesh, materials)
 

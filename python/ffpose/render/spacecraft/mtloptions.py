@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose.errors import DataError
+from ffpose.render.spacecraft.textures import Source
 
 logger = logging.getLogger(__name__)
 
@@ -34,10 +34,10 @@ class Options(NamedTuple):
     clamp: bool = False
     multiplier: float = 1.0
 
-    def placed(self, coordinates: NDArray[Any]) -> NDArray[np.float32]:
-        """Return coordinates (V, 2) of a mesh in the texture, from its upper left."""
-        across, up = (coordinates[:, :2].astype(np.float64) * self.scale + self.offset).T
-        return np.stack([across, 1 - up], axis=1).astype(np.float32)
+    def source(self) -> Source:
+        """Return what is done to coordinates that count from the upper left."""
+        across, down = self.offset[0], 1 - self.scale[1] - self.offset[1]
+        return Source(offset=(across, down), scale=self.scale)
 
 
 def texture_options(name: str, source: Path) -> Options:
@@ -57,11 +57,11 @@ def texture_options(name: str, source: Path) -> Options:
             elif key == "-clamp":
                 options = options._replace(clamp={"on": True, "off": False}[values[0]])
             elif key == "-bm":
-                options = options._replace(multiplier=float(values[0]))
+                options = options._replace(multiplier=_number(values[0]))
             else:
                 unknown.append(part.strip())
         except (KeyError, ValueError):
-            expected = "on or off" if key == "-clamp" else "numbers"
+            expected = "on or off" if key == "-clamp" else "finite numbers"
             text = f"expected {expected} after {key} of a texture, got {' '.join(values)!r}"
             raise DataError(text, source) from None
     if unknown:
@@ -71,5 +71,12 @@ def texture_options(name: str, source: Path) -> Options:
 
 def _pair(values: list[str], missing: float) -> tuple[float, float]:
     """Return the first two of up to three numbers."""
-    across, up, *_ = [*map(float, values), missing]
+    across, up, *_ = [*map(_number, values), missing]
     return across, up
+
+
+def _number(value: str) -> float:
+    number = float(value)
+    if abs(number) > float(np.finfo(np.float32).max):
+        raise ValueError(value)
+    return number

@@ -31,13 +31,14 @@ def stl_colors(
         missing: (3,) sRGB color of triangles without one.
     """
     _, found, part = head.partition(PART_COLOR)
-    fifths = np.stack([codes >> shift & 31 for shift in (10, 5, 0)], axis=1)
+    levels = np.stack([codes >> shift & 31 for shift in (10, 5, 0)], axis=1)
     own = codes >= GIVEN
     if found and len(part) >= 3:
-        fifths, missing = fifths[:, ::-1], np.frombuffer(part, np.uint8, 3)
-        if codes.any() and not (own.all() and np.ptp(codes)):
+        levels, missing = levels[:, ::-1], np.frombuffer(part, np.uint8, 3)
+        colored = np.ptp(codes) > 0 or codes[0] & 0x7FFF not in (0, 0x7FFF)
+        if codes.any() and not (own.all() and colored):
             own = ~own
     elif not own.any():
         return None
-    colors = np.where(own[:, None], np.round(fifths * (255 / 31)), missing[:3])
+    colors = np.where(own[:, None], np.round(levels * (255 / 31)), missing[:3])
     return colors.astype(np.uint8)

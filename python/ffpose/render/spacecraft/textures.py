@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,29 @@ def linear(code: ArrayLike) -> NDArray[np.float64]:
     """Return the linear light of sRGB values in 0…1."""
     value = np.asarray(code, dtype=np.float64)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+class Source(NamedTuple):
+    """Where the coordinates of a texture come from: a set, and KHR_texture_transform."""
+
+    set: int = 0
+    offset: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def transformed(self, coordinates: NDArray[Any]) -> Floats:
+        """Return coordinates (V, 2) scaled, then rotated, then moved.
+
+        A ValueError if they are not finite.
+        """
+        c, s = math.cos(self.rotation), math.sin(self.rotation)
+        turn = np.array([[c, s], [-s, c]])
+        with np.errstate(over="ignore", invalid="ignore"):
+            placed = coordinates.astype(np.float64) * self.scale @ turn.T + self.offset
+            result = placed.astype(np.float32)
+        if not np.isfinite(result).all():
+            raise ValueError("expected finite texture coordinates, got NaN or infinity")
+        return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose._internal.signals import signals_kept
 from ffpose.errors import DataError, require
 from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, values_of
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
@@ -24,6 +25,7 @@ from ffpose.render.spacecraft.textures import (
     CLAMP,
     REPEAT,
     Pyramid,
+    Source,
     build_pyramid,
     largest_side,
     linear,
@@ -59,7 +61,8 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
         if suffix == ".obj":
             assets.used, assets.libraries = named_materials(content)
         file = io.BytesIO(content)
-        scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
+        with signals_kept():  # trimesh goes on after whatever is raised while it reads
+            scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
         # A .obj, .ply or .stl file has no transforms: every geometry is in its place.
         meshes = [each for each in scene.geometry.values() if isinstance(each, trimesh.Trimesh)]
         meshes = [mesh for mesh in meshes if len(mesh.faces)]
@@ -109,9 +112,8 @@ def _part(mesh: Any, paints: _Paints, content: bytes) -> Part:
             uv = np.zeros((len(vertices), 2)) if visual.uv is None else np.asarray(visual.uv)
             if visual.uv is None:
                 paints.miss(visual.material)
-            if not np.isfinite(uv).all():
-                raise ValueError("expected finite texture coordinates, got NaN or infinity")
-            layers = [options.placed(uv) for options in sources]
+            places = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
+            layers = [source.transformed(places) for source in sources]
         colors = visual.vertex_attributes.get("color")
         light = None if colors is None else _light(colors)
         return Part(vertices, faces, material, normals, light, tuple(layers))
@@ -140,7 +142,7 @@ class _Paints:
 
     def __init__(self, meshes: list[Any], assets: Assets) -> None:
         self._assets = assets
-        self._made: dict[int, tuple[Material, tuple[Options, ...]]] = {}
+        self._made: dict[int, tuple[Material, tuple[Source, ...]]] = {}
         self._images: dict[str, Any] = {}
         self._options: dict[str, Options] = {}
         self._pyramids: dict[Any, Pyramid] = {}
@@ -154,7 +156,7 @@ class _Paints:
                     sizes[key, " ".join(material.kwargs[key])] = self._opened(material, key).size
         self._most = largest_side(list(sizes.values()))
 
-    def get(self, material: Any) -> tuple[Material, tuple[Options, ...]]:
+    def get(self, material: Any) -> tuple[Material, tuple[Source, ...]]:
         """Return a material as the renderer has them, and the sources of its textures."""
         if id(material) not in self._made:
             self._made[id(material)] = self._make(material)
@@ -165,8 +167,8 @@ class _Paints:
         text = "%s: material %r has a texture and no texture coordinates: of one color"
         logger.warning(text, self._assets.source, material.name)
 
-    def _make(self, material: Any) -> tuple[Material, tuple[Options, ...]]:
-        sources: dict[Options, int] = {}
+    def _make(self, material: Any) -> tuple[Material, tuple[Source, ...]]:
+        sources: dict[Source, int] = {}
         if hasattr(material, "to_simple"):  # of a .ply file that names a texture
             material = material.to_simple()
         given, image = material.kwargs, material.image
@@ -197,7 +199,7 @@ class _Paints:
         )
         return made, tuple(sources)
 
-    def _named(self, key: str, material: Any, sources: dict[Options, int]) -> Texture | None:
+    def _named(self, key: str, material: Any, sources: dict[Source, int]) -> Texture | None:
         if key not in material.kwargs:
             return None
         name = " ".join(material.kwargs[key])
@@ -210,7 +212,7 @@ class _Paints:
         return self._images[name]
 
     def _texture(
-        self, key: str, image: Any, name: str, sources: dict[Options, int]
+        self, key: str, image: Any, name: str, sources: dict[Source, int]
     ) -> Texture | None:
         """Return a texture of a key, and note where its coordinates come from."""
         if image is None:
@@ -227,7 +229,7 @@ class _Paints:
             except (OSError, SyntaxError, ValueError) as error:
                 text = f"expected a texture that can be decoded, got {one_line(error)}"
                 raise DataError(text, self._assets.source) from error
-        return Texture(self._pyramids[made], sources.setdefault(options, len(sources)))
+        return Texture(self._pyramids[made], sources.setdefault(options.source(), len(sources)))
 
 
 def _file_name(image: Any) -> str:
