@@ -43,7 +43,7 @@ FIRST_SHARE, RENDER_SHARE = 1 / 6, 0.3
 """Shares of the budget: of the first training; of rendering in each, were nothing rendered
 before."""
 
-HELD_BACK_VIEWS, HELD_BACK_S, MOST_HELD_BACK = 2500, 120.0, 0.12
+HELD_BACK_VIEWS, HELD_BACK_S, MOST_HELD_BACK = 9000, 120.0, 0.12
 """What is held back of the budget for images that validate, calibrate and test, and for the report
 and the graph: the time of so many views and so many seconds, and at most such a share of it."""
 
@@ -76,6 +76,10 @@ KINDS = {
 }
 """Shares of the views: plain, cut by the border, randomized, in the light of a low sun, without the
 spacecraft, of other spacecraft."""
+
+SHOWN_SHARE = 1 - KINDS["empty"] - KINDS["decoys"]
+"""Share of the views that make an epoch: some of them are replaced by those without the
+spacecraft."""
 
 
 @dataclass(frozen=True)
@@ -111,11 +115,8 @@ class TrainingPlan:
 
     def seconds(self, speed: Speed) -> float:
         """Return what rendering and training take."""
-        return self.rendering(speed) + self.epochs * self.views / speed.samples
-
-    def rendering(self, speed: Speed) -> float:
-        """Return what rendering takes."""
-        return (self.views - self.rendered) / speed.views
+        rendering = (self.views - self.rendered) / speed.views
+        return rendering + self.epochs * SHOWN_SHARE * self.views / speed.samples
 
 
 def plan_trainings(
@@ -131,9 +132,9 @@ def plan_trainings(
     Examples:
         >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
         >>> first
-        TrainingPlan(name='first', views=5107, epochs=31, rendered=0)
+        TrainingPlan(name='first', views=4786, epochs=36, rendered=0)
         >>> second
-        TrainingPlan(name='second', views=25906, epochs=33, rendered=5107)
+        TrainingPlan(name='second', views=23975, epochs=39, rendered=4786)
     """
     seconds = _training_seconds(minutes, speed)
     whole = FIRST_SHARE * seconds
@@ -154,18 +155,20 @@ def _plan(name: str, seconds: float, speed: Speed, rendered: int, most: int) -> 
     least = max(LEAST_VIEWS, rendered)
     planned = max(min(RENDER_SHARE * seconds * speed.views, most), least)
     trained = seconds - (planned - rendered) / speed.views
-    epochs = min(max(int(trained * speed.samples / planned), LEAST_EPOCHS), MOST_EPOCHS)
+    passes = trained * speed.samples / (SHOWN_SHARE * planned)
+    epochs = min(max(int(passes), LEAST_EPOCHS), MOST_EPOCHS)
     # A part of an epoch that is left is spent on more views.
-    views = (seconds + rendered / speed.views) / (1 / speed.views + epochs / speed.samples)
+    each = 1 / speed.views + epochs * SHOWN_SHARE / speed.samples
+    views = (seconds + rendered / speed.views) / each
     return TrainingPlan(name, int(max(min(views, most), planned)), epochs, rendered)
 
 
 def replanned(
     second: TrainingPlan, first: TrainingPlan, minutes: float, speed: Speed, spent: float
 ) -> TrainingPlan:
-    """Return the second training with fewer epochs, where the first took longer than planned.
+    """Return a smaller second training, where the first took longer than planned.
 
-    The rest is taken to go as slowly. Its views stay, as some may have been rendered already.
+    The rest is taken to go as slowly.
 
     Args:
         second: As planned.
@@ -175,17 +178,20 @@ def replanned(
         spent: Seconds that the first training took with its rendering.
 
     Examples:
-        >>> first, second = TrainingPlan("first", 3000, 30), TrainingPlan("second", 9000, 60)
         >>> speed = Speed(views=30, samples=400)
-        >>> replanned(second, first, 40, speed, spent=325).epochs
-        60
-        >>> replanned(second, first, 40, speed, spent=650).epochs
-        21
+        >>> first, second = plan_trainings(40, speed)
+        >>> second
+        TrainingPlan(name='second', views=15923, epochs=39, rendered=3178)
+        >>> replanned(second, first, 40, speed, spent=first.seconds(speed)) == second
+        True
+        >>> replanned(second, first, 40, speed, spent=2 * first.seconds(speed))
+        TrainingPlan(name='second', views=6439, epochs=43, rendered=3178)
     """
-    slower = spent / first.seconds(speed)
-    left = (_training_seconds(minutes, speed) - spent) / slower - second.rendering(speed)
-    epochs = max(int(left * speed.samples / second.views), LEAST_EPOCHS)
-    return replace(second, epochs=min(epochs, second.epochs))
+    slower = max(1.0, spent / first.seconds(speed))
+    slowed = replace(speed, views=speed.views / slower, samples=speed.samples / slower)
+    left = _training_seconds(minutes, speed) - slower * first.seconds(speed)
+    smaller = _plan(second.name, left, slowed, first.views, second.views)
+    return smaller if smaller.seconds(speed) < second.seconds(speed) else second
 
 
 def image_size(camera: Camera) -> tuple[int, int]:

@@ -221,10 +221,10 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         say(f"a first answer after {spent:.1f} minutes: {_validated(early)}")
     if not RunFolder(config.out / second.name).config.exists():
         spent = max(time.monotonic() - rendering, early.seconds)
-        fewer = replanned(second, first, config.minutes, record.speed, spent)
-        if fewer != second:
-            say(f"slower than planned: {fewer.epochs} epochs instead of {second.epochs}")
-            second = fewer
+        smaller = replanned(second, first, config.minutes, record.speed, spent)
+        if smaller != second:
+            second = smaller
+            say(f"slower than planned: second training {_told(second)}")
             record.plans = (first, second)
             record.write(config.out)
     final = train(configured(second, early.folder.best), resume=True)
@@ -300,7 +300,7 @@ def _planned(
     camera, speed = config.camera, record.speed
     assert record.plans is not None
     assert speed is not None
-    shares = [f"{s.views} views, {s.epochs} epochs" for s in record.plans]
+    shares = [_told(plan) for plan in record.plans]
     lines = {
         "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
         "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
@@ -326,6 +326,10 @@ def _planned(
     told = [f"{'not folded':16}{each}" for each in others]
     doubts = [f"{'doubtful':16}{each}" for each in find_doubts(scene.scene().build())]
     return "\n".join(chosen + told + doubts)
+
+
+def _told(plan: TrainingPlan) -> str:
+    return f"{plan.views} views, {plan.epochs} epochs"
 
 
 def _folded(group: SymmetryGroup) -> str:
