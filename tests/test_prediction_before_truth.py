@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import ffpose
 from ffpose import arrays
-from ffpose.evaluation import attitude, baseline, metrics
+from ffpose.evaluation import attitude, metrics
 
 SOURCES = sorted(Path(ffpose.__file__).parent.rglob("*.py*"))
 TRUE_NAMES = {"t_hat": {"t", "q"}, "q_hat": {"t", "q"}, "predicted": {"truth"}, "found": {"truth"}}
@@ -80,10 +80,3 @@ def test_the_viewing_ray_is_that_of_the_truth():
     q_hat = Rotation.from_rotvec([[0.5, 0.0, 0.0]]).as_quat(scalar_first=True)
     parts = attitude.rotation_parts(q_hat, T, Q)
     assert parts.out_of_plane_deg[0] == pytest.approx(np.degrees(0.5))
-
-
-def test_oracles_correct_the_constant():
-    """The true translations, whatever the constant's."""
-    truth = np.concatenate([T, Q], axis=1)
-    answers = baseline.oracles(np.array([9.0, 9.0, 9.0, 1.0, 0, 0, 0]), truth)
-    assert all((answer[:, :3] == T).all() for answer in answers.values())

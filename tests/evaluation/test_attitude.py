@@ -5,8 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffpose.evaluation.attitude import (
-    remove_in_plane_error,
-    remove_out_of_plane_error,
     rotation_error_vector,
     rotation_parts,
 )
@@ -101,28 +99,6 @@ def test_signs_and_lengths_of_the_arguments_do_not_matter():
     q, q_hat = quaternion(true), quaternion(predicted)
     other = rotation_parts(2 * q_hat, 3 * t, -q)
     np.testing.assert_allclose(other, rotation_parts(q_hat, t, q), atol=1e-9)
-
-
-def test_an_oracle_of_the_in_plane_part_keeps_the_viewing_direction_alone():
-    t, true, predicted = random_case()
-    answer = remove_in_plane_error(quaternion(predicted), t, quaternion(true))
-    rotation = Rotation.from_quat(answer, scalar_first=True)
-    np.testing.assert_allclose(
-        rotation.inv().apply(rays(t)), predicted.inv().apply(rays(t)), atol=1e-12
-    )
-    found, before = parts(t, true, rotation), parts(t, true, predicted)
-    np.testing.assert_allclose(found.in_plane_deg, 0, atol=1e-7)
-    np.testing.assert_allclose(found.out_of_plane_deg, before.out_of_plane_deg, atol=1e-7)
-
-
-def test_an_oracle_of_the_out_of_plane_part_keeps_the_twist_alone():
-    t, true, predicted = random_case()
-    answer = remove_out_of_plane_error(quaternion(predicted), t, quaternion(true))
-    rotation = Rotation.from_quat(answer, scalar_first=True)
-    np.testing.assert_allclose(rotation.inv().apply(rays(t)), true.inv().apply(rays(t)), atol=1e-12)
-    found, before = parts(t, true, rotation), parts(t, true, predicted)
-    np.testing.assert_allclose(found.in_plane_deg, before.in_plane_deg, atol=1e-7)
-    np.testing.assert_allclose(found.out_of_plane_deg, 0, atol=1e-7)
 
 
 @pytest.mark.parametrize("degrees", [0, 1e-9, 1e-3, 90, 179.9])

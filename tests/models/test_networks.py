@@ -18,7 +18,7 @@ from ffpose.models import (
     read_metadata,
 )
 from ffpose.models.registry import NETWORKS as CLASSES
-from ffpose.training.losses import PoseLoss
+from ffpose.training.losses import JointLoss
 from ffpose.training.stages import Stage, enter_stage
 from networks import MODEL_FIELDS, NETWORKS, SIZE
 
@@ -64,7 +64,7 @@ def test_frozen_parts_stay_bit_for_bit(name):
     model = build(name)
     parts = ("backbone", "orientation_branch")
     before = {key: value.clone() for key, value in model.state_dict().items()}
-    enter_stage(model, PoseLoss(), Stage("translation", 1, parts))
+    enter_stage(model, JointLoss(), Stage("translation", 1, parts))
     optimizer = torch.optim.Adam(model.parameters(), lr=0.1, weight_decay=0.1)
     translation, orientation = model.regress(random_images(4))
     (translation.sum() + orientation.sum()).backward()

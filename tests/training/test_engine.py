@@ -17,7 +17,7 @@ from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
-from ffpose.training.losses import PoseLoss
+from ffpose.training.losses import JointLoss
 from ffpose.training.options import load_config
 from ffpose.training.progress import Reporter
 from ffpose.training.run import (
@@ -472,7 +472,7 @@ def test_auto_is_what_the_processor_has_instructions_for(image_set, tmp_path):
 
 def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        PoseLoss, "quaternion_distance", lambda _, q_hat, q: (q_hat * q).sum(1) * torch.nan
+        JointLoss, "quaternion_distance", lambda _, q_hat, q: (q_hat * q).sum(1) * torch.nan
     )
     config = train_config(image_set, tmp_path / "run", batch_size=10)
     with pytest.raises(NonFiniteLossError, match=r"the loss became nan in epoch 1; images: ") as e:
@@ -556,7 +556,7 @@ def test_translation_statistics_by_hand():
 
 
 def test_loss_weights_have_no_decay():
-    model, loss = torch.nn.Linear(2, 2), PoseLoss()
+    model, loss = torch.nn.Linear(2, 2), JointLoss()
     groups = build_optimizer(model, loss, OptimizerConfig()).param_groups
     decay = {id(p): group["weight_decay"] for group in groups for p in group["params"]}
     assert decay[id(loss.s_t)] == decay[id(loss.s_q)] == 0
@@ -572,7 +572,7 @@ def test_weight_decay_is_part_of_the_gradient_or_apart_from_it(kind, expected):
 
     Adam's is of one length, whatever the gradient; AdamW shrinks each weight by rate times decay.
     """
-    model, loss = torch.nn.Linear(2, 2), PoseLoss()
+    model, loss = torch.nn.Linear(2, 2), JointLoss()
     config = OptimizerConfig(kind=kind, learning_rate=0.1, weight_decay=0.1)
     optimizer = build_optimizer(model, loss, config)
     before = model.weight.detach().clone()

@@ -4,7 +4,7 @@ import pytest
 from torch import nn
 
 from ffpose.config import CONFIGS, PRESETS
-from ffpose.training.losses import PoseLoss
+from ffpose.training.losses import JointLoss
 from ffpose.training.stages import (
     PAPER_STAGES,
     Stage,
@@ -89,7 +89,7 @@ def test_stages_of_one_name_are_refused():
     ("stage", "learned"), list(zip(PAPER_STAGES, ("s_t s_q", "s_t", "s_q"), strict=True))
 )
 def test_the_weight_of_a_frozen_branch_is_frozen(stage, learned):
-    loss = PoseLoss()
+    loss = JointLoss()
     enter_stage(Parts(), loss, PAPER_STAGES[1])
     enter_stage(Parts(), loss, stage)
     assert [n for n, w in loss.named_parameters() if w.requires_grad] == learned.split()
@@ -97,7 +97,7 @@ def test_the_weight_of_a_frozen_branch_is_frozen(stage, learned):
 
 def test_a_frozen_part_gets_no_gradient_and_stands_in_evaluation():
     model = Parts()
-    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
+    enter_stage(model, JointLoss(), PAPER_STAGES[1])
     assert trainable(model) == {"translation_branch"}
     assert model.translation_branch.training
     assert not any(module.training for module in model.backbone.modules())
@@ -107,18 +107,18 @@ def test_a_frozen_part_gets_no_gradient_and_stands_in_evaluation():
 def test_the_orientation_head_is_frozen_with_its_branch():
     model = Parts()
     model.orientation = nn.Linear(4, 4)
-    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
+    enter_stage(model, JointLoss(), PAPER_STAGES[1])
     assert trainable(model) == {"translation_branch"}
-    enter_stage(model, PoseLoss(), PAPER_STAGES[2])
+    enter_stage(model, JointLoss(), PAPER_STAGES[2])
     assert trainable(model) == {"orientation_branch", "orientation"}
 
 
 def test_the_next_stage_thaws_what_it_does_not_freeze():
     model = Parts()
-    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
-    enter_stage(model, PoseLoss(), PAPER_STAGES[2])
+    enter_stage(model, JointLoss(), PAPER_STAGES[1])
+    enter_stage(model, JointLoss(), PAPER_STAGES[2])
     assert trainable(model) == {"orientation_branch"}
-    enter_stage(model, PoseLoss(), PAPER_STAGES[0])
+    enter_stage(model, JointLoss(), PAPER_STAGES[0])
     assert trainable(model) == {"backbone", "translation_branch", "orientation_branch"}
     assert all(module.training for module in model.modules())
 

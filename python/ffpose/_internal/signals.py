@@ -76,8 +76,8 @@ def signals_kept() -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
     if came:
         signal.raise_signal(came[0])
 

@@ -26,12 +26,11 @@ from ffpose._internal.urso import CONDITIONS
 from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.geometry import CAMERA_FILE, Camera, FloatArray, Pose, Target
+from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose, Target
 from ffpose.geometry.trajectory import Trajectory
 
 TARGET: Target = "object"
 
-POSE = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
 KEYPOINT = ("name", "x", "y", "z")
 FIRST = ("train", "val", "test")
 """Splits that stand before others."""
@@ -69,7 +68,7 @@ def read(root: Path, split: str) -> list[Record]:
         time = entry.parsed(("time",))[0] if "time" in header else None
         record = Record(image, name, seen_by, None, path, entry.line, time=time)
         if labeled:
-            *t, w, x, y, z = entry.parsed(POSE)
+            *t, w, x, y, z = entry.parsed(POSE_COLUMNS)
             raw = (w, x, y, z)
             record = replace(record, pose=entry.made(Pose, t, raw), raw_quaternion=raw)
         records.append(record)
@@ -78,9 +77,10 @@ def read(root: Path, split: str) -> list[Record]:
 
 def _has_labels(header: list[str], path: Path) -> bool:
     """Return whether a split has labels; check its columns."""
-    expected = f"expected the columns image, {', '.join(POSE)} and, optional, camera and time"
-    labeled = any(name in header for name in POSE)
-    required = {"image", *POSE} if labeled else {"image"}
+    pose = ", ".join(POSE_COLUMNS)
+    expected = f"expected the columns image, {pose} and, optional, camera and time"
+    labeled = any(name in header for name in POSE_COLUMNS)
+    required = {"image", *POSE_COLUMNS} if labeled else {"image"}
     if set(header) - {"camera", "time"} != required:
         raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
     return labeled
@@ -106,13 +106,13 @@ def read_trajectory(path: Path) -> Trajectory:
             is not later than the one before; the error names file and line.
     """
     header, entries = read_table(path)
-    if missing := [name for name in ("time", *POSE) if name not in header]:
-        expected = f"expected the columns time, {', '.join(POSE)}"
+    if missing := [name for name in ("time", *POSE_COLUMNS) if name not in header]:
+        expected = f"expected the columns time, {', '.join(POSE_COLUMNS)}"
         raise DataError(f"{expected}; {missing[0]} is missing", path, 1)
     times: list[float] = []
     poses = []
     for entry in entries:
-        time, *values = entry.parsed(("time", *POSE))
+        time, *values = entry.parsed(("time", *POSE_COLUMNS))
         poses.append(entry.made(Pose.from_vector, values))
         if times and time <= times[-1]:
             raise entry.error(

@@ -57,32 +57,13 @@ def rotation_parts(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RotationPart
         (90.0, 0.0)
     """
     q_hat, ray, q = _checked(q_hat, t, q)
-    w, v = _error(q_hat, q)
+    error = multiply(q_hat, conjugate(q))
+    w, v = error[:, 0], error[:, 1:]
     along = (v * ray).sum(axis=1)
     across = np.linalg.norm(np.cross(v, ray), axis=1)
     in_plane = 2 * np.arctan2(np.abs(along), np.abs(w))
     out_of_plane = 2 * np.arctan2(across, np.hypot(w, along))
     return RotationParts(np.degrees(in_plane), np.degrees(out_of_plane))
-
-
-def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
-    """Rotate the predictions about the true viewing ray so that their in-plane error vanishes.
-
-    The result ``T⁻¹ R_hat``, unit quaternions ``(N, 4)``, keeps the prediction's viewing direction
-    and thus its out-of-plane error, which is its whole rotation error; else as `rotation_parts`.
-    """
-    q_hat, ray, q = _checked(q_hat, t, q)
-    return multiply(conjugate(_twist(q_hat, ray, q)), q_hat)
-
-
-def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
-    """Rotate the ground truth about its viewing ray by the in-plane error of the predictions.
-
-    The result ``T R``, unit quaternions ``(N, 4)``, has the true viewing direction; its rotation
-    error is the prediction's in-plane error; else as `rotation_parts`.
-    """
-    q_hat, ray, q = _checked(q_hat, t, q)
-    return multiply(_twist(q_hat, ray, q), q)
 
 
 def rotation_error_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
@@ -122,19 +103,3 @@ def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArr
             f"{name}: expected finite numbers, not all zero, got {row} in row {bad[0]}"
         )
     return np.asarray(array / norm)
-
-
-def _error(q: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return scalar ``(N,)`` and vector part ``(N, 3)`` of ``q other⁻¹``."""
-    product = multiply(q, conjugate(other))
-    return product[:, 0], product[:, 1:]
-
-
-def _twist(q_hat: FloatArray, ray: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the twists ``(N, 4)`` of the errors about the rays; the identity where undefined."""
-    w, v = _error(q_hat, q)
-    along = (v * ray).sum(axis=1)
-    norm = np.hypot(w, along)
-    twist = np.concatenate([w[:, None], along[:, None] * ray], axis=1)
-    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
-    return np.asarray(np.divide(twist, norm[:, None], out=identity, where=norm[:, None] > 0))

@@ -33,7 +33,7 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.records import expect_in_front
-from ffpose.evaluation.baseline import mean_pose, oracles
+from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
     OtherMode,
@@ -188,9 +188,10 @@ class Evaluation:
 
         Metrics are named as in `PoseError`, which has fewer where labels locate the camera.
         ``median_intervals_95`` holds bootstrap intervals of the medians; ``mean_pose_baseline`` the
-        metrics of the constant pose; ``oracles`` the rotation errors of
-        `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of predicted and true
-        roll, pitch and yaw (circular for roll and yaw; None where one is constant);
+        metrics of the constant pose; ``oracles`` the rotation errors of two that know one part of
+        the attitude and have the constant's error in the other: a model of such an error has
+        learned at most the part that is known; ``correlation`` the correlation of predicted and
+        true roll, pitch and yaw (circular for roll and yaw; None where one is constant);
         ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation errors to
         the labels as they are; ``confusion`` the turn of the object that most large errors are
         near, ``rotation_vector_deg``, and their ``share`` of all images
@@ -238,14 +239,16 @@ class Evaluation:
     def _oracles(self) -> dict[str, dict[str, float]]:
         if self.dataset.target == "camera":  # whose ray to the origin means nothing
             return {}
-        truth = self._truth_for_constant
+        errors = self.baseline_errors
+        across, inside = errors.out_of_plane_deg, errors.in_plane_deg
+        none = inside.new_zeros(inside.shape)
+        known = {
+            "in_plane_known": errors._replace(rotation_deg=across, in_plane_deg=none),
+            "out_of_plane_known": errors._replace(rotation_deg=inside, out_of_plane_deg=none),
+        }
         return {
-            name: {
-                key: value
-                for key, value in figures(pose_errors(answer, truth)).items()
-                if key.endswith("_deg")
-            }
-            for name, answer in oracles(self.baseline, truth).items()
+            name: {key: value for key, value in figures(each).items() if key.endswith("_deg")}
+            for name, each in known.items()
         }
 
     def _correlations(self) -> dict[str, float | None]:

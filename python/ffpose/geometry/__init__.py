@@ -18,6 +18,7 @@ All other modules follow these conventions, and convert data in other convention
 
 from ffpose.geometry.frames import (
     CAMERA_FILE,
+    POSE_COLUMNS,
     URSO_CAMERA,
     Camera,
     DistortedCamera,
@@ -32,6 +33,7 @@ from ffpose.geometry.rotations import FloatArray, rotation_matrix
 
 __all__ = [
     "CAMERA_FILE",
+    "POSE_COLUMNS",
     "URSO_CAMERA",
     "Camera",
     "DistortedCamera",

@@ -24,6 +24,9 @@ from ffpose.geometry.rotations import (
 CAMERA_FILE = "camera.json"
 """Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
 
+POSE_COLUMNS = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
+"""Names of a pose's numbers in tables: translation in meters, and quaternion."""
+
 Target = Literal["object", "camera"]
 """What labels and networks locate: the object in the camera frame, or the camera in the world."""
 

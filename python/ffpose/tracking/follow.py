@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import write_csv
 from ffpose.errors import DataError, explain
-from ffpose.geometry import Pose
+from ffpose.geometry import POSE_COLUMNS, Pose
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.prediction import Failure, axis_length, predict
 from ffpose.tracking.frames import Frame
@@ -22,8 +21,7 @@ TRAJECTORY, REPORT, OVERLAY = "trajectory.csv", "report.html", "overlay.webp"
 AXES = "xyz"
 COLUMNS = (
     "time",
-    *(f"t{axis}" for axis in AXES),
-    *(f"q{axis}" for axis in ("w", *AXES)),
+    *POSE_COLUMNS,
     *(f"{kind}{axis}" for kind in "vw" for axis in AXES),
     *(f"sd_{kind}{axis}" for kind in "tvrw" for axis in AXES),
     "accepted",
@@ -83,19 +81,16 @@ def follow(
 
 def write_trajectory(followed: Sequence[Followed], path: Path) -> None:
     """Write ``trajectory.csv``: a row of `COLUMNS` for each frame; no numbers without a track."""
-    with (
-        atomic_write(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for each in followed:
-            one = each.step.estimate
-            numbers: list[float] | list[str] = [""] * (len(COLUMNS) - 3)
-            if one is not None:
-                vectors = (one.t, one.q, one.v, one.w, one.standard_deviations)
-                numbers = [float(number) for vector in vectors for number in vector]
-            table.writerow([each.frame.time, *numbers, int(each.step.accepted), each.reason])
+    write_csv(path, [COLUMNS, *map(_row, followed)])
+
+
+def _row(followed: Followed) -> list[object]:
+    one = followed.step.estimate
+    numbers: list[float] | list[str] = [""] * (len(COLUMNS) - 3)
+    if one is not None:
+        vectors = (one.t, one.q, one.v, one.w, one.standard_deviations)
+        numbers = [float(number) for vector in vectors for number in vector]
+    return [followed.frame.time, *numbers, int(followed.step.accepted), followed.reason]
 
 
 def run(

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 from ffpose.datasets.parsing import Names, read_table
 from ffpose.errors import DataError
-from ffpose.geometry import Pose
+from ffpose.geometry import POSE_COLUMNS, Pose
 
-POSE = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
 TIMES = "frames.csv"
 
 
@@ -39,10 +38,10 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
         hint = "" if times else ", or another file as --times"
         raise FileNotFoundError(f"times: expected {path}{hint}, got no such file")
     header, entries = read_table(path)
-    posed = any(name in header for name in POSE)
-    required = {"image", "time", *(POSE if posed else ())}
+    posed = any(name in header for name in POSE_COLUMNS)
+    required = {"image", "time", *(POSE_COLUMNS if posed else ())}
     if set(header) - {"camera"} != required:
-        expected = f"expected the columns image, time and perhaps {', '.join(POSE)}"
+        expected = f"expected the columns image, time and perhaps {', '.join(POSE_COLUMNS)}"
         raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
     names, frames = Names(), list[Frame]()
     for entry in entries:
@@ -52,8 +51,8 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
             before = frames[-1].time
             raise entry.error(f"time: expected later than {before} s, the row before, got {time} s")
         pose = None
-        if posed and any(entry.values[name].strip() for name in POSE):
-            values = entry.parsed(POSE)
+        if posed and any(entry.values[name].strip() for name in POSE_COLUMNS):
+            values = entry.parsed(POSE_COLUMNS)
             pose = entry.made(Pose, values[:3], values[3:])
         frames.append(Frame(image, time, pose))
     return frames

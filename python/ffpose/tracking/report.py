@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from ffpose._internal.figures import embedded, new_figure, style_axes
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_text
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.geometry.rotations import rotation_vector
@@ -70,8 +70,7 @@ velocity are about the object's.</p>
 {pictures}
 </body></html>
 """
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def write_overlay(

@@ -25,9 +25,9 @@ from ffpose.models import (
 from ffpose.models.weights import WeightsMetadata, load_weights
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibration_images import CalibrationSet
-from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
+from ffpose.training.config import OptimizerConfig, TrainConfig
 from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
-from ffpose.training.losses import FixedLoss, JointLoss, PoseLoss
+from ffpose.training.losses import JointLoss
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import ALONE, Processes
@@ -164,15 +164,9 @@ def _task(
         )
         return ObjectTask(data.val_set, loss, *shared, patches)
     assert data.train_set is not None
-    joint_loss = _joint_loss(config.loss, model).to(device)
+    own = config.loss
+    joint_loss = JointLoss(model.config.loss_weights, own.s_t, own.s_q, own.antipodal).to(device)
     return FrameTask(data.val_set, joint_loss, *shared, data.train_set)
-
-
-def _joint_loss(config: LossConfig, model: BaseNetwork) -> JointLoss:
-    """Return the sum of the network's losses, with its fixed weights or learned ones."""
-    if (weights := model.config.loss_weights) is not None:
-        return FixedLoss(*weights, config.antipodal)
-    return PoseLoss(config.s_t, config.s_q, config.antipodal)
 
 
 def translation_statistics(poses: NDArray[np.float64]) -> dict[str, tuple[float, ...]]:

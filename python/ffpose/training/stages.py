@@ -125,7 +125,7 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
 
 
 LOSS_WEIGHTS = {"translation_branch": "s_t", "orientation_branch": "s_q"}
-"""The learned weight of each branch's loss (`ffpose.training.losses.PoseLoss`)."""
+"""The learned weight of each branch's loss (`ffpose.training.losses.JointLoss`)."""
 
 
 def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:

@@ -9,9 +9,7 @@ import numpy as np
 
 from ffpose._internal.files import write_csv, write_json
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.geometry import FloatArray
-
-VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
+from ffpose.geometry import POSE_COLUMNS, FloatArray
 
 
 def format_table(summary: dict[str, Any]) -> str:
@@ -39,8 +37,10 @@ def write_results(evaluation: Evaluation, out: Path) -> None:
 
 def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
     """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
-    columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
-    columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
+    columns = dict(zip(POSE_COLUMNS, evaluation.dataset.poses.T, strict=True))
+    columns |= {
+        f"predicted_{n}": c for n, c in zip(POSE_COLUMNS, evaluation.predicted.T, strict=True)
+    }
     columns |= evaluation.errors.named()
     if evaluation.translation_covariance is not None:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)

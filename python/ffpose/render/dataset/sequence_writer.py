@@ -20,14 +20,14 @@ from ffpose._internal.files import (
 )
 from ffpose._internal.seeds import refuse_final
 from ffpose.errors import DataError, expect
-from ffpose.geometry import CAMERA_FILE
+from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS
 from ffpose.render.dataset.writer import LEAST_BYTES_PER_PIXEL, PNG_LEVEL, Written, prepare
 from ffpose.render.processes import in_processes
 from ffpose.render.sequence import SEQUENCE, Sequence, render_frame
 
 FRAMES = "frames.csv"
 PARAMETERS = "sequence.json"
-COLUMNS = ("image", "time", "tx", "ty", "tz", "qw", "qx", "qy", "qz")
+COLUMNS = ("image", "time", *POSE_COLUMNS)
 
 
 def frame_name(index: int) -> str:

@@ -56,7 +56,7 @@ class Source(NamedTuple):
         turn = np.array([[c, s], [-s, c]])
         with np.errstate(over="ignore", invalid="ignore"):
             placed = coordinates.astype(np.float64) * self.scale @ turn.T + self.offset
-            result = placed.astype(np.float32)
+            result: Floats = placed.astype(np.float32)
         if not np.isfinite(result).all():
             raise ValueError("expected finite texture coordinates, got NaN or infinity")
         return result
