@@ -46,7 +46,7 @@ FOLDS = (0, 8, 6, 4, 3, 2)
 ODD_TURNS = (0.1618, 0.3607, 0.4271)
 """Shares of a turn that stand for any angle."""
 
-NEAR = 0.25
+NEAR = 0.5
 """Difference relative to the contrast up to which looks are nearly the same, and reported."""
 
 ALIKE = np.cos(np.radians(1.0))
