@@ -27,7 +27,7 @@ def test_an_ignored_sigterm_stays_ignored():
         signal.signal(signal.SIGTERM, before)
 
 
-@pytest.mark.parametrize("caught", [False, True])
+@pytest.mark.parametrize("caught", ["raised", "left", "another"])
 def test_a_block_that_catches_what_a_signal_raises_ends_with_it(caught):
     reached = []
 
@@ -37,8 +37,10 @@ def test_a_block_that_catches_what_a_signal_raises_ends_with_it(caught):
                 signal.raise_signal(signal.SIGTERM)
             except BaseException:
                 reached.append("the rest")
-                if not caught:
+                if caught == "raised":
                     raise
+                if caught == "another":
+                    raise ValueError("a broken file") from None
         reached.append("what follows")
 
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)

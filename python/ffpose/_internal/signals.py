@@ -54,18 +54,21 @@ def interrupts_held() -> Iterator[None]:
 
 @contextmanager
 def signals_kept() -> Iterator[None]:
-    """Raise what SIGINT and SIGTERM raise again at the end of the block, if it caught that.
+    """Raise what handlers of SIGINT and SIGTERM raise again at the end of the block.
 
-    For calls of libraries that catch every exception and go on.
+    For calls of libraries that catch every exception, and go on or raise another.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    came: list[BaseException] = []
 
     def keep(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        handlers[number](number, frame)
+        try:
+            handlers[number](number, frame)
+        except BaseException as raised:
+            came.append(raised)
+            raise
 
     handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -78,8 +81,8 @@ def signals_kept() -> Iterator[None]:
     finally:
         for each, handler in handlers.items():
             signal.signal(each, handler)
-    if came:
-        signal.raise_signal(came[0])
+        if came:
+            raise came[0]
 
 
 def leave_interrupts_to_parent() -> None:
