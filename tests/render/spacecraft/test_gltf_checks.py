@@ -94,6 +94,8 @@ def test_negative_indices_in_lists_and_attributes_are_refused(tmp_path):
     assert refused(tmp_path, ("nodes", 0, "children"), [-1]) == f"expected children {message}"
     place = (*PRIMITIVE, "attributes", "POSITION")
     assert refused(tmp_path, place, -1) == f"expected attributes {message}"
+    place = (*PRIMITIVE, "targets")
+    assert refused(tmp_path, place, [{"POSITION": -1}]) == f"expected targets {message}"
 
 
 def test_what_is_not_read_may_hold_anything(tmp_path):
@@ -188,8 +190,11 @@ def test_draco_is_read_or_refused(tmp_path):
 
 
 @pytest.mark.parametrize("sparse", [False, True])
-@pytest.mark.parametrize("name", ["POSITION", "NORMAL", "_WEAR"])
-def test_vertices_are_counted_before_they_are_read(tmp_path, sparse, name):
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [("POSITION", False), ("NORMAL", False), ("_WEAR", False), ("POSITION", True)],
+)
+def test_vertices_are_counted_before_they_are_read(tmp_path, sparse, name, target):
     header, contents = tetrahedron()
     huge = {"componentType": 5126, "count": 1_500_000_000, "type": "VEC3"}
     if sparse:
@@ -199,7 +204,12 @@ def test_vertices_are_counted_before_they_are_read(tmp_path, sparse, name):
             "values": {"bufferView": 0},
         }
     header["accessors"].append(huge)
-    header["meshes"][0]["primitives"][0]["attributes"][name] = 2
+    (mesh,) = header["meshes"]
+    if target:
+        mesh["primitives"][0]["targets"] = [{name: 2}]
+        mesh["weights"] = [0.5]
+    else:
+        mesh["primitives"][0]["attributes"][name] = 2
     tracemalloc.start()
     try:
         with pytest.raises(DataError, match="at most 6000000 vertices, got 1500000000"):

@@ -251,6 +251,46 @@ def test_joints_that_are_not_there_are_refused(tmp_path):
         file.load(tmp_path)
 
 
+def test_morph_targets_move_vertices_normals_and_colors_by_their_weights(tmp_path):
+    file = File()
+    file.attributes["NORMAL"] = file.accessor(np.tile(np.float32([0, 0, 1]), (4, 1)))
+    file.attributes["COLOR_0"] = file.accessor(np.full((4, 3), 0.5, np.float32))
+    up, leaning = (np.tile(np.float32(v), (4, 1)) for v in ([0, 0, 2], [4, 0, 0]))
+    moved = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 8, 0]], np.float32)
+    file.primitive["targets"] = [
+        {"POSITION": file.accessor(up), "NORMAL": file.accessor(leaning)},
+        {"POSITION": file.accessor(moved), "COLOR_0": file.accessor(-up)},
+    ]
+    assert file.load(tmp_path).mesh.vertices == pytest.approx(SQUARE)
+    file.header["meshes"][0]["weights"] = [0.25, 0.5]
+    craft = file.load(tmp_path)
+    expected = SQUARE + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0.5], [0, 4, 0.5]])
+    assert craft.mesh.vertices == pytest.approx(expected)
+    assert craft.mesh.corner_normals[0] == pytest.approx(np.tile([0.5, 0, 0.5], (3, 1)) * 2**0.5)
+    surface, _ = seen(craft)
+    assert surface.color[:2] == pytest.approx(0.5, abs=1e-6)
+    assert surface.color[2] == pytest.approx(0.0, abs=1e-6)  # 0.5 - 1, which is no color
+    # Deltas without alpha leave it, and an alpha's are for one that is not told: it is 1.
+    file.attributes["COLOR_0"] = file.accessor(np.full((4, 4), 0.5, np.float32))
+    assert seen(file.load(tmp_path))[0].color[2] == pytest.approx(0.0, abs=1e-6)
+    # A node's weights go before its mesh's; two nodes show one mesh in two shapes.
+    file.header["nodes"] = [{"mesh": 0, "weights": [0.5, 0]}, {"mesh": 0, "weights": [0, 0]}]
+    file.header["scenes"] = [{"nodes": [0, 1]}]
+    heights = file.load(tmp_path).mesh.vertices[:, 2]
+    assert sorted(heights.tolist()) == pytest.approx([0, 0, 0, 0, 1, 1, 1, 1])
+
+
+def test_morph_targets_that_do_not_fit_are_refused(tmp_path):
+    file = File()
+    file.primitive["targets"] = [{"POSITION": file.accessor(SQUARE[:3])}]
+    file.header["meshes"][0]["weights"] = [1, 1]
+    with pytest.raises(DataError, match="expected weights of 1 morph targets, got 2"):
+        file.load(tmp_path)
+    file.header["meshes"][0]["weights"] = [1]
+    with pytest.raises(DataError, match="expected 4 values of POSITION in a morph target, got 3"):
+        file.load(tmp_path)
+
+
 def test_a_mirror_keeps_outside_out(tmp_path):
     file = File()
     file.header["nodes"] = [{"mesh": 0, "scale": [-1, 1, 1]}]

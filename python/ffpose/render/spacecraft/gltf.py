@@ -2,8 +2,8 @@
 
 Of all sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures
 and copies of nodes trimesh reads some at most, so it is not used here. Sections are those of the
-specification (Khronos Group, "glTF 2.0 Specification", 2021). Joints, animations and morph targets
-are as they are at the start; occlusion textures are left out, as light is traced.
+specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins and morph targets are as before
+animations; occlusion textures are left out, as light is traced.
 """
 
 from __future__ import annotations
@@ -20,13 +20,19 @@ from numpy.typing import NDArray
 from ffpose.errors import DataError, MissingExtraError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
+from ffpose.render.spacecraft.gltftransforms import (
+    Floats,
+    Shape,
+    blended,
+    cofactors,
+    local_transform,
+    morphed,
+    turned,
+)
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
 from ffpose.render.spacecraft.parts import Part, check_shape
 
-Floats = NDArray[np.float64]
 Header = dict[str, Any]
-Key = tuple[int, int]
-Shape = dict[str, NDArray[Any]]
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 """Extensions of buffer views by which they are compressed."""
@@ -52,11 +58,19 @@ CODES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: 
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
+class Key(NamedTuple):
+    """A primitive in a shape: numbers of mesh and primitive, and the weights of morph targets."""
+
+    mesh: int
+    primitive: int
+    weights: tuple[float, ...] = ()
+
+
 class Placed(NamedTuple):
     """A primitive in the scene.
 
     Attributes:
-        key: The numbers of mesh and primitive.
+        key: The primitive, and its shape.
         places: (1, 4, 4) where it is, or (J, 4, 4) the joint matrices of its skin.
         skinned: Whether each vertex moves with joints of a skin.
     """
@@ -116,14 +130,14 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
         if coordinates is None:
             coordinates = np.zeros((len(shape["POSITION"]), 2), np.float32)
         layers.append(source.transformed(coordinates))
-    places = _blended(shape, item.places) if item.skinned else item.places
+    places = blended(shape, item.places) if item.skinned else item.places
     faces, turns = shape["faces"].astype(np.int64), places[:, :3, :3]
     if np.median(np.linalg.det(turns)) < 0:
         faces = faces[:, ::-1]
-    vertices = _turned(shape["POSITION"], turns) + places[:, :3, 3]
+    vertices = turned(shape["POSITION"], turns) + places[:, :3, 3]
     normals = shape.get("NORMAL")
     if normals is not None:
-        normals = _turned(normals.astype(np.float64), _cofactors(turns))
+        normals = turned(normals.astype(np.float64), cofactors(turns))
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
         normals = normals.astype(np.float32)
@@ -133,45 +147,6 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
         if materials.opaque(number):
             colors[:, 3] = 1
     return Part(vertices, faces, material, normals, colors, tuple(layers))
-
-
-def _blended(shape: Shape, joints: Floats) -> Floats:
-    """Return where a skin takes each vertex (V, 3, 4): linear blend skinning (section 3.7.3.3).
-
-    ``joints`` (J, 4, 4) are the joint matrices. A vertex whose weights are all zero moves with the
-    first joint that it names.
-    """
-    sets = [name.removeprefix("JOINTS_") for name in shape if name.startswith("JOINTS_")]
-    numbers = np.concatenate([shape[f"JOINTS_{name}"] for name in sets], axis=1).astype(np.intp)
-    weights = np.concatenate([shape[f"WEIGHTS_{name}"] for name in sets], axis=1).astype(np.float64)
-    if not np.isfinite(weights).all():
-        raise ValueError("expected finite weights of joints, got NaN or infinity")
-    if numbers.min() < 0 or numbers.max() >= len(joints):
-        got = f"{numbers.min()}…{numbers.max()}"
-        raise ValueError(f"expected joints 0…{len(joints) - 1}, got {got}")
-    weights[weights.sum(axis=1) == 0, 0] = 1
-    weights /= weights.sum(axis=1, keepdims=True)
-    places = np.zeros((len(numbers), 3, 4))
-    for its, share in zip(numbers.T, weights.T, strict=True):
-        places += share[:, None, None] * joints[its, :3]
-    return places
-
-
-def _turned(vectors: Floats, matrices: Floats) -> Floats:
-    """Return vectors (V, 3) by a matrix (1, 3, 3), or each by its own (V, 3, 3)."""
-    if len(matrices) == 1:
-        turned: Floats = vectors @ matrices[0].T
-    else:
-        turned = np.einsum("vij,vj->vi", matrices, vectors)
-    return turned
-
-
-def _cofactors(matrices: Floats) -> Floats:
-    """Return cofactors (N, 3, 3), by which normals turn; those of a mirror point inward too."""
-    a, b, c = (matrices[:, row] for row in range(3))
-    signs = np.where(np.linalg.det(matrices) < 0, -1.0, 1.0)
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-    return signs[:, None, None] * cofactors
 
 
 class _Document:
@@ -205,8 +180,10 @@ class _Document:
             if "mesh" not in node or number in hidden:
                 continue
             copies = self._instances(node.get("extensions", {}).get("EXT_mesh_gpu_instancing"))
-            for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
-                key = (node["mesh"], primitive)
+            mesh = self.header["meshes"][node["mesh"]]
+            weights = tuple(node.get("weights", mesh.get("weights", ())))
+            for primitive in range(len(mesh["primitives"])):
+                key = Key(node["mesh"], primitive, weights if any(weights) else ())
                 if "skin" in node and "JOINTS_0" in self.primitive(key)["attributes"]:
                     yield Placed(key, self._joint_matrices(node["skin"], places), True)
                     continue
@@ -236,7 +213,7 @@ class _Document:
             shown = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
             if unseen or not shown:
                 hidden.add(number)
-            place = places[number] = above @ _local(node)
+            place = places[number] = above @ local_transform(node)
             children = reversed(node.get("children", []))
             stack += [(child, place, number in hidden) for child in children]
         return places, hidden
@@ -259,7 +236,7 @@ class _Document:
 
     def primitive(self, key: Key) -> Header:
         """Return the header of a primitive."""
-        found: Header = self.header["meshes"][key[0]]["primitives"][key[1]]
+        found: Header = self.header["meshes"][key.mesh]["primitives"][key.primitive]
         return found
 
     def face_count(self, key: Key) -> int:
@@ -274,18 +251,30 @@ class _Document:
 
     def vertex_count(self, keys: list[Key]) -> int:
         """Return the number of vertices of primitives: values of their longest attributes."""
-        counts: dict[int, int] = {}
+        counts: dict[tuple[Any, ...], int] = {}
         for key in keys:
             attributes = self.primitive(key)["attributes"]
-            longest = max(self.header["accessors"][n]["count"] for n in attributes.values())
-            place = attributes["POSITION"]  # primitives may share their vertices
+            all_of_them = [attributes, *(target for _, target in self._targets(key))]
+            numbers = [number for each in all_of_them for number in each.values()]
+            longest = max(self.header["accessors"][number]["count"] for number in numbers)
+            # Primitives may share their vertices, where no morph target moves them.
+            place = key if key.weights else (attributes["POSITION"],)
             counts[place] = max(counts.get(place, 0), longest)
         return sum(counts.values())
+
+    def _targets(self, key: Key) -> list[tuple[float, dict[str, int]]]:
+        """Return the weight and the attributes of each morph target whose weight is not zero."""
+        targets = self.primitive(key).get("targets", [])
+        if key.weights and targets and len(key.weights) != len(targets):
+            text = f"expected weights of {len(targets)} morph targets, got {len(key.weights)}"
+            raise DataError(text, self.source)
+        pairs = zip(key.weights, targets, strict=False)
+        return [(float(weight), each) for weight, each in pairs if weight != 0]
 
     def shape(self, key: Key) -> Shape:
         """Read a primitive: its faces (F, 3), and its attributes by name."""
         primitive = self.primitive(key)
-        packed = self._decoded(primitive, key[0])
+        packed = self._decoded(primitive, key.mesh)
         shape = {}
         for name, number in primitive["attributes"].items():
             if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith(SETS):
@@ -293,11 +282,21 @@ class _Document:
                 shape[name] = (
                     _fractions(packed[name], normalized) if name in packed else self.values(number)
                 )
-        points = shape["POSITION"] = shape["POSITION"].astype(np.float64)
+        shape["POSITION"] = shape["POSITION"].astype(np.float64)
         for name, values in shape.items():
-            if len(values) != len(points):
-                text = f"expected {len(points)} values of {name}, got {len(values)}"
+            if len(values) != len(shape["POSITION"]):
+                text = f"expected {len(shape['POSITION'])} values of {name}, got {len(values)}"
                 raise DataError(text, self.source)
+        for weight, target in self._targets(key):
+            for name in shape.keys() & target.keys():
+                if name.startswith(("JOINTS_", "WEIGHTS_")):
+                    continue  # which have no targets
+                deltas = self.values(target[name])
+                if len(deltas) != len(shape[name]):
+                    text = f"expected {len(shape[name])} values of {name} in a morph target"
+                    raise DataError(f"{text}, got {len(deltas)}", self.source)
+                shape[name] = morphed(name, shape[name], deltas, weight)
+        points = shape["POSITION"]
         if "faces" in packed:
             faces = packed["faces"]
         else:
@@ -423,7 +422,9 @@ class _Document:
             raise DataError(text, self.source)
         given = {name: self.values(number) for name, number in numbers.items()}
         count = len(next(iter(given.values())))
-        return [_local({key: value[n] for key, value in given.items()}) for n in range(count)]
+        return [
+            local_transform({key: value[n] for key, value in given.items()}) for n in range(count)
+        ]
 
 
 def _triangles(order: NDArray[Any], mode: int) -> NDArray[Any]:
@@ -447,26 +448,6 @@ def _split(content: bytes) -> tuple[Header, bytes]:
         raise ValueError(f"expected {size} bytes, got {len(content)}: the file is cut short")
     header = json.loads(content[20 : 20 + length])
     return header, content[20 + length + 8 :]
-
-
-def _local(node: Header) -> Floats:
-    """Return the matrix (4, 4) of a node: given, or scale, then rotation, then translation."""
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    matrix = np.eye(4)
-    x, y, z, w = np.asarray(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
-    norm = x * x + y * y + z * z + w * w
-    two = 2 / norm if norm > 0 else 0.0
-    turn = np.array(
-        [
-            [1 - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w)],
-            [two * (x * y + z * w), 1 - two * (x * x + z * z), two * (y * z - x * w)],
-            [two * (x * z - y * w), two * (y * z + x * w), 1 - two * (x * x + y * y)],
-        ]
-    )
-    matrix[:3, :3] = turn * np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64)
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
 
 
 def _fractions(values: NDArray[Any], normalized: bool) -> NDArray[Any]:

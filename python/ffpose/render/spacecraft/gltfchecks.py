@@ -17,9 +17,12 @@ logger = logging.getLogger(__name__)
 COUNTS = {
     *("attributes", "buffer", "bufferView", "byteLength", "byteOffset", "byteStride", "count"),
     *("scene", "node", "nodes", "children", "mesh", "indices", "index", "skin", "skeleton"),
-    *("joints", "material", "sampler", "source", "texCoord"),
+    *("joints", "material", "sampler", "source", "targets", "texCoord"),
 }
 """Names of what is an index, a number or a size, or consists of indices."""
+
+BY_NAME = ("attributes", "targets")
+"""Those among them of which any name has an index."""
 
 SHARES = ("baseColor", "metallic", "roughness", "emissive", "diffuse", "specular", "glossiness")
 FACTORS = {
@@ -45,7 +48,7 @@ def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) ->
         for key, value in part.items() if isinstance(part, dict) else enumerate(part):
             if key == "extras" or (name == "extensions" and not str(key).startswith(known)):
                 continue
-            inner = key if isinstance(key, str) and name != "attributes" else name
+            inner = key if isinstance(key, str) and name not in BY_NAME else name
             if isinstance(value, dict | list):
                 stack.append((inner, value))
             elif isinstance(value, int | float):
