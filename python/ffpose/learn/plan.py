@@ -55,6 +55,11 @@ ROOM_SHARE = 0.5
 LEAST_HELD_OUT, MOST_HELD_OUT = 8, 200
 """Validation images, and images of each kind that calibrate: a fortieth of the views, within."""
 
+HELD_OUT_VIEWS, VALIDATED, STARTED_S = 14, 0.5, 30.0
+"""Views in whose time an image held out of each kind is rendered, that of another spacecraft among
+them; the speed of validation relative to training's; and seconds to start the processes of a
+training and to calibrate it."""
+
 LEAST_EPOCHS, MOST_EPOCHS = 4, 150
 
 BATCH, LEAST_BATCH = 32, 8
@@ -113,10 +118,20 @@ class TrainingPlan:
     epochs: int
     rendered: int = 0
 
+    @property
+    def held_out(self) -> int:
+        """Number of validation images, and of images of each kind that calibrate."""
+        return min(MOST_HELD_OUT, max(LEAST_HELD_OUT, self.views // 40))
+
     def seconds(self, speed: Speed) -> float:
         """Return what rendering and training take."""
         rendering = (self.views - self.rendered) / speed.views
         return rendering + self.epochs * SHOWN_SHARE * self.views / speed.samples
+
+    def seconds_besides(self, speed: Speed) -> float:
+        """Return what it takes besides, of the time held back: start, validation, calibration."""
+        validation = self.epochs * self.held_out / (VALIDATED * speed.samples)
+        return STARTED_S + HELD_OUT_VIEWS * self.held_out / speed.views + validation
 
 
 def plan_trainings(
@@ -175,21 +190,23 @@ def replanned(
         first: The training that is finished.
         minutes: The whole budget.
         speed: That it was planned with.
-        spent: Seconds that the first training took with its rendering.
+        spent: Seconds that the first training took, all in all.
 
     Examples:
         >>> speed = Speed(views=30, samples=400)
         >>> first, second = plan_trainings(40, speed)
         >>> second
         TrainingPlan(name='second', views=15923, epochs=39, rendered=3178)
-        >>> replanned(second, first, 40, speed, spent=first.seconds(speed)) == second
+        >>> spent = first.seconds(speed) + first.seconds_besides(speed)
+        >>> replanned(second, first, 40, speed, spent) == second
         True
-        >>> replanned(second, first, 40, speed, spent=2 * first.seconds(speed))
-        TrainingPlan(name='second', views=6439, epochs=43, rendered=3178)
+        >>> replanned(second, first, 40, speed, 2 * spent)
+        TrainingPlan(name='second', views=5119, epochs=45, rendered=3178)
     """
-    slower = max(1.0, spent / first.seconds(speed))
+    slower = max(1.0, spent / (first.seconds(speed) + first.seconds_besides(speed)))
     slowed = replace(speed, views=speed.views / slower, samples=speed.samples / slower)
-    left = _training_seconds(minutes, speed) - slower * first.seconds(speed)
+    held_back = 60 * minutes - _training_seconds(minutes, speed)
+    left = 60 * minutes - slower * (held_back + first.seconds(speed))
     smaller = _plan(second.name, left, slowed, first.views, second.views)
     return smaller if smaller.seconds(speed) < second.seconds(speed) else second
 
@@ -263,7 +280,6 @@ def training(
         world: Number of those that train; None for `training_processes`.
     """
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * plan.views)) for name in KINDS}
-    held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, plan.views // 40))
     world = world or training_processes(device, processes)
     return TrainConfig(
         data=DataConfig(
@@ -271,8 +287,8 @@ def training(
             out / "views",
             scene=str(scene),
             distance=BEYOND,
-            validation=held_out,
-            calibration=held_out,
+            validation=plan.held_out,
+            calibration=plan.held_out,
             workers=processes,
             seed=matching(TRAINING, seed),
             attitude_range_deg=attitude_range_deg,
