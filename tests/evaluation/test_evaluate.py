@@ -15,12 +15,15 @@ from ffpose.datasets import Conditions, Decoding, read_conditions
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
-from ffpose.evaluation.report.tables import uncertainty_table
+from ffpose.evaluation.report.tables import figures_table, uncertainty_table
 from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
 from ffpose.imaging.reprojection import reproject
 from ffpose.models import FilterformerPose, PosePrediction, build_network, read_metadata
 from tiny_runs import SIZE, write_set
+
+HALF_TURN = SymmetryGroup((Axis((0, 0, 1), 2),))
+"""The group of an object that looks the same after half a turn about its z."""
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +80,7 @@ def test_errors_are_modulo_the_symmetry_and_the_others_are_told(evaluation, tmp_
     off = truth * Rotation.from_rotvec((0, 0, np.pi)) * Rotation.from_euler("x", 5, degrees=True)
     predicted = evaluation.dataset.poses.copy()
     predicted[:, 3:] = off.as_quat(scalar_first=True)
-    group = SymmetryGroup((Axis((0, 0, 1), 2),))
-    folded = Evaluation(evaluation.dataset, predicted, evaluation.baseline, 0.0, symmetry=group)
+    folded = Evaluation(evaluation.dataset, predicted, evaluation.baseline, 0.0, symmetry=HALF_TURN)
     summary = folded.summary()
     assert summary["median_rotation_error_deg"] == pytest.approx(5)
     assert summary["mean_rotation_error_deg"] == pytest.approx(5)
@@ -92,6 +94,17 @@ def test_errors_are_modulo_the_symmetry_and_the_others_are_told(evaluation, tmp_
     assert baseline["mean_rotation_error_deg"] == pytest.approx(least.mean())
     assert "mean_rotation_error_deg, no symmetry" in format_table(summary)
     assert "without_symmetry" not in evaluation.summary()
+    # The same where it nearly leaves the look: the errors themselves stay as they are.
+    apart = Evaluation(
+        evaluation.dataset, predicted, evaluation.baseline, 0.0, unfolded=(HALF_TURN,)
+    ).summary()
+    assert apart["mean_rotation_error_deg"] == pytest.approx(plain)
+    (near,) = apart["modulo_unfolded"]
+    assert near["axes"] == [{"axis": [0, 0, 1], "fold": 2}]
+    assert near["median_rotation_error_deg"] == pytest.approx(5)
+    assert near["mean_pose_baseline"]["mean_rotation_error_deg"] == pytest.approx(least.mean())
+    assert "modulo 2-fold about (0, 0, 1), which is not folded" in figures_table(apart)
+    assert "modulo_unfolded" not in evaluation.summary()
 
 
 def test_images_are_decoded_as_in_training(image_set, tmp_path):

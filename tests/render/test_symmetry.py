@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from trimesh.creation import box, cylinder, icosphere
 
-from ffpose.geometry.symmetry import STEPS
+from ffpose.geometry.symmetry import STEPS, Axis
 from ffpose.render import load_craft
-from ffpose.render.symmetry import find_symmetries
+from ffpose.render.symmetry import Symmetry, _sorted, find_symmetries
 
 
 def craft_of(folder, *parts):
@@ -65,6 +65,15 @@ def test_a_mark_on_one_side_breaks_it_and_is_told_where_it_is_small(tmp_path, si
     near = [each for each in found.near if abs(each.axis.unit[0]) < 0.1]
     assert bool(near) == told
     assert all(each.noise > 1 and each.contrast < 0.5 for each in near)
+
+
+@pytest.mark.parametrize(("contrast", "told"), [(0.1, [2, 4]), (0.35, [4])])
+def test_fewer_turns_are_told_beside_more_where_they_leave_the_look_more_alike(contrast, told):
+    found = [
+        Symmetry(Axis((0.0, 0.0, 1.0), fold), 5.0, differs, 0.0)
+        for fold, differs in ((4, 0.4), (2, contrast))
+    ]
+    assert sorted(each.axis.fold for each in _sorted(found).near) == told
 
 
 def test_an_axis_beside_the_origin_is_told_and_not_folded(tmp_path):

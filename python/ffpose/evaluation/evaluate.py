@@ -74,8 +74,10 @@ class Evaluation:
     images without it; ``alternative`` are second most likely attitudes ``(N, 4)``, and
     ``probabilities (N, 2)`` those of the predicted and of these. All of these are None for a
     network without uncertainty, the last two for one that tells no second mode too. Errors, of the
-    baseline too, are to the nearest attitude of the same look by ``symmetry``. ``axis_m`` is the
-    length of axes as they are drawn, as of `ffpose.imaging.overlay.draw_axes`.
+    baseline too, are to the nearest attitude of the same look by ``symmetry``;
+    ``unfolded`` are larger groups, of what looks the same or nearly so, modulo which the summary
+    has errors too. ``axis_m`` is the length of axes as they are drawn, as of
+    `ffpose.imaging.overlay.draw_axes`.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
@@ -94,6 +96,7 @@ class Evaluation:
     in_view_empty: FloatArray | None = None
     in_view_threshold: float | None = None
     symmetry: SymmetryGroup = IDENTITY
+    unfolded: tuple[SymmetryGroup, ...] = ()
     alternative: FloatArray | None = None
     probabilities: FloatArray | None = None
     axis_m: float | None = None
@@ -193,9 +196,10 @@ class Evaluation:
         learned at most the part that is known; ``correlation`` the correlation of predicted and
         true roll, pitch and yaw (circular for roll and yaw; None where one is constant);
         ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation errors to
-        the labels as they are; ``confusion`` the turn of the object that most large errors are
-        near, ``rotation_vector_deg``, and their ``share`` of all images
-        (`ffpose.evaluation.confusion`); ``groups`` the medians by condition
+        the labels as they are; ``modulo_unfolded`` the ``axes`` of each of ``unfolded`` and the
+        rotation errors modulo it, with the constant pose's as ``mean_pose_baseline``; ``confusion``
+        the turn of the object that most large errors are near, ``rotation_vector_deg``, and their
+        ``share`` of all images (`ffpose.evaluation.confusion`); ``groups`` the medians by condition
         (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
         calibration (`ffpose.evaluation.calibration`), and of one that tells two ``modes`` the share
         of attitudes over 30 degrees off, and of those that are so from both.
@@ -214,6 +218,7 @@ class Evaluation:
                 "confusion": _confusion(self._constant, self._truth_for_constant),
             },
             **self._without_symmetry(),
+            **self._modulo_unfolded(),
             "confusion": _confusion(self.predicted, self.truth),
             "oracles": self._oracles(),
             "correlation": self._correlations(),
@@ -232,9 +237,25 @@ class Evaluation:
     def _without_symmetry(self) -> dict[str, Any]:
         if len(self.symmetry) == 1:
             return {}
-        plain = figures(pose_errors(self.predicted, self.dataset.poses, target=self.dataset.target))
-        errors = {name: value for name, value in plain.items() if name.endswith("error_deg")}
+        errors = self._rotation_errors(self.predicted, IDENTITY)
         return {"without_symmetry": {"axes": self.symmetry.to_json(), **errors}}
+
+    def _modulo_unfolded(self) -> dict[str, Any]:
+        told = [
+            {
+                "axes": group.to_json(),
+                **self._rotation_errors(self.predicted, group),
+                "mean_pose_baseline": self._rotation_errors(self._constant, group),
+            }
+            for group in self.unfolded
+        ]
+        return {"modulo_unfolded": told} if told else {}
+
+    def _rotation_errors(self, poses: FloatArray, group: SymmetryGroup) -> dict[str, float]:
+        """Return means and medians of the rotation errors of poses ``(N, 7)`` modulo a group."""
+        truth = group.folded(poses, self.dataset.poses)
+        errors = figures(pose_errors(poses, truth, target=self.dataset.target))
+        return {name: value for name, value in errors.items() if name.endswith("error_deg")}
 
     def _oracles(self) -> dict[str, dict[str, float]]:
         if self.dataset.target == "camera":  # whose ray to the origin means nothing
@@ -294,6 +315,7 @@ def evaluate(
     device: str = "auto",
     empty: Path | None = None,
     symmetry: SymmetryGroup | None = None,
+    unfolded: tuple[SymmetryGroup, ...] = (),
 ) -> Evaluation:
     """Evaluate weights on the images of a split, or of ``"all"``.
 
@@ -301,7 +323,7 @@ def evaluate(
     ``decoding`` leaves open. The training split of ``root`` gives the baseline, if they do not.
     With ``reproject`` images of another camera are reprojected into the network's view; ``empty``
     is a folder of images that do not show the object, for miss rate and AUROC; errors are modulo
-    ``symmetry``, that of the training for None.
+    ``symmetry``, that of the training for None, and told modulo each of ``unfolded`` too.
 
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
@@ -334,6 +356,7 @@ def evaluate(
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     told["degrees_of_freedom"] = metadata.degrees_of_freedom
     told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
+    told["unfolded"] = unfolded
     told["in_view_threshold"] = metadata.in_view_threshold
     told["axis_m"] = axis_length(metadata.config)
     if empty_images:

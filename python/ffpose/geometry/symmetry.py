@@ -107,6 +107,11 @@ class SymmetryGroup:
         both = np.concatenate([found[:1], flips])
         return multiply(both[:, None], free[0].turns).reshape(-1, 4)
 
+    def has(self, rotations: FloatArray) -> bool:
+        """Return whether unit quaternions ``(N, 4)`` are all among its own, within a degree."""
+        nearest = np.abs(rotations @ self.rotations.T).max(axis=1)
+        return bool((nearest > np.cos(np.radians(0.5))).all())
+
     def __len__(self) -> int:
         return len(self.rotations)
 

@@ -70,7 +70,11 @@ TEST_IMAGES = 300
 CARD_IMAGES = 60
 
 NEAR_SHOWN = 3
-"""Number of near symmetries that are told; ``symmetry.json`` has all."""
+"""Number of symmetries that are told and not folded; ``symmetry.json`` has all."""
+
+TOLD_MODULO = 0.8
+"""Ratio of the mean attitude error modulo what is not folded to that without, relative to a
+constant pose's, below which it is told."""
 
 POOR = 0.1
 """Share of a constant pose's rotation error above which the result is called poor."""
@@ -229,7 +233,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             record.write(config.out)
     final = train(configured(second, early.folder.best), resume=True)
     _publish(final.folder.best, config.out)
-    evaluation = _tested(config, scene_file, processes, say)
+    evaluation = _tested(config, scene_file, _unfolded(folds, group), processes, say)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(
@@ -350,7 +354,32 @@ def _validated(result: TrainResult) -> str:
     )
 
 
-def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> Evaluation:
+def _unfolded(path: Path, folded: SymmetryGroup) -> tuple[SymmetryGroup, ...]:
+    """Return groups of what looks the same, and nearly so, but is not folded, each with what is."""
+    found = read_json(path)
+    same, near = ([_axis(each) for each in found.get(name, [])] for name in ("same", "near"))
+    groups = [folded]
+    for axes in (same, *([axis] for axis in near)):
+        try:
+            group = SymmetryGroup.from_json([*folded.to_json(), *axes])
+        except ValueError:
+            continue  # in no group with what is folded
+        if not any(each.has(group.rotations) and group.has(each.rotations) for each in groups):
+            groups.append(group)
+    return tuple(groups[1 : 1 + NEAR_SHOWN])
+
+
+def _axis(told: dict[str, Any]) -> dict[str, Any]:
+    return {name: told.get(name) for name in ("axis", "fold")}
+
+
+def _tested(
+    config: LearnConfig,
+    scene: SceneFile,
+    unfolded: tuple[SymmetryGroup, ...],
+    processes: int,
+    say: Say,
+) -> Evaluation:
     """Evaluate the weights on images of seeds that nothing before has rendered."""
     say(f"testing on {config.test_images} unseen images")
     images = config.out / "test-images"
@@ -361,7 +390,14 @@ def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> 
         matching(CHOICES, config.seed),
         workers=processes,
     )
-    evaluation = evaluate(config.out / WEIGHTS, "urso", written.folder, "all", device=config.device)
+    evaluation = evaluate(
+        config.out / WEIGHTS,
+        "urso",
+        written.folder,
+        "all",
+        device=config.device,
+        unfolded=unfolded,
+    )
     write_results(evaluation, config.out)
     write_evaluation_figures(evaluation, config.out)
     return evaluation
@@ -392,6 +428,16 @@ def verdict(summary: dict[str, Any]) -> str:
         f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
         f" unseen images; a constant pose has {constant:.0f} degrees"
     )
+    for each in summary.get("modulo_unfolded", []):
+        constants = summary["mean_pose_baseline"], each["mean_pose_baseline"]
+        whole, of_group = (source["mean_rotation_error_deg"] for source in constants)
+        share = each["mean_rotation_error_deg"] / max(summary["mean_rotation_error_deg"], 1e-9)
+        if share < TOLD_MODULO * of_group / whole:
+            text += (
+                f"; modulo {SymmetryGroup.from_json(each['axes'])}, which is not folded,"
+                f" {each['median_rotation_error_deg']:.2f} degrees (a constant pose"
+                f" {constants[1]['median_rotation_error_deg']:.0f})"
+            )
     confusion = summary["confusion"]
     if confusion["share"] - summary["mean_pose_baseline"]["confusion"]["share"] >= CONFUSED:
         turn = np.array(confusion["rotation_vector_deg"])

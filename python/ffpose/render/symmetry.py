@@ -49,6 +49,10 @@ ODD_TURNS = (0.1618, 0.3607, 0.4271)
 NEAR = 0.5
 """Difference relative to the contrast up to which looks are nearly the same, and reported."""
 
+MORE_ALIKE = 0.8
+"""Share of the difference after all turns about an axis up to which a part of them is reported
+beside them."""
+
 ALIKE = np.cos(np.radians(1.0))
 """Cosine of the angle between axes that are one."""
 
@@ -166,20 +170,22 @@ def _sorted(found: list[Symmetry]) -> Symmetries:
             pass  # within the noise, but in no group with those before
         near.append(each)
     for each in [s for s in free_first if s.noise > 1]:
-        if not _implied(group, each.axis) and not any(_same_axis(each, other) for other in near):
+        if not _implied(group, each.axis) and not any(_tells(other, each) for other in near):
             near.append(each)
     near.sort(key=lambda s: (s.axis.fold > 0, s.contrast))
     return Symmetries(group, same, near)
 
 
-def _same_axis(one: Symmetry, other: Symmetry) -> bool:
-    return bool(abs(np.dot(one.axis.direction, other.axis.direction)) > ALIKE)
+def _tells(other: Symmetry, each: Symmetry) -> bool:
+    """Tell whether all turns of one are among another's, which leaves the look about as alike."""
+    about_one_axis = abs(np.dot(each.axis.direction, other.axis.direction)) > ALIKE
+    among = other.axis.fold == 0 or (each.axis.fold > 0 and other.axis.fold % each.axis.fold == 0)
+    return bool(about_one_axis and among and each.contrast > MORE_ALIKE * other.contrast)
 
 
 def _implied(group: SymmetryGroup, axis: Axis) -> bool:
-    """Tell whether a group has the turns about an axis already, within a degree."""
-    near = np.abs(_turns(axis) @ group.rotations.T).max(axis=1)
-    return bool((near > np.cos(np.radians(0.5))).all())
+    """Tell whether a group has the turns about an axis already."""
+    return group.has(_turns(axis))
 
 
 def _turns(axis: Axis) -> FloatArray:

@@ -6,6 +6,8 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ffpose.geometry.symmetry import SymmetryGroup
+
 Summary = Mapping[str, Any]
 """The document that `Evaluation.summary` returns."""
 
@@ -73,15 +75,24 @@ def figures_table(summary: Summary) -> str:
     """Return the table of metrics of model and baseline."""
     rows = []
     for key, name, unit in ROWS:
-        model, baseline = summary[key], summary["mean_pose_baseline"][key]
-        ratio = f"{model / baseline:.2f}" if baseline > 0 else "–"
-        rows.append((name, f"{model:.3f} {unit}", f"{baseline:.3f} {unit}", ratio))
+        rows.append(_compared(name, unit, summary[key], summary["mean_pose_baseline"][key]))
     if plain := summary.get("without_symmetry"):
         for key, name, unit in ROWS:
             if key in plain:
                 told = f"{name}, without regard to symmetry"
                 rows.append((told, f"{plain[key]:.3f} {unit}", "", ""))
+    for each in summary.get("modulo_unfolded", []):
+        group = SymmetryGroup.from_json(each["axes"])
+        for key, name, unit in ROWS:
+            if key in each:
+                told = f"{name}, modulo {group}, which is not folded"
+                rows.append(_compared(told, unit, each[key], each["mean_pose_baseline"][key]))
     return _table(("", "model", "mean pose", "ratio"), rows)
+
+
+def _compared(name: str, unit: str, model: float, baseline: float) -> tuple[str, ...]:
+    ratio = f"{model / baseline:.2f}" if baseline > 0 else "–"
+    return name, f"{model:.3f} {unit}", f"{baseline:.3f} {unit}", ratio
 
 
 def parts_table(summary: Summary) -> str:
