@@ -20,7 +20,6 @@ from ffpose._internal.files import atomic_write, sha256
 from ffpose._internal.seeds import CHOICES
 from ffpose._internal.zoo import resolve
 from ffpose.geometry import Camera, FloatArray, Pose
-from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.inference.load import load
 from ffpose.inference.prediction import Failure, predict
 from ffpose.render import find_scene
@@ -28,7 +27,7 @@ from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.motion import KINDS, inertia
 from ffpose.render.scene import Scene
 from ffpose.render.sequence import Sequence as Frames
-from ffpose.tracking import Settings, Tracker, Unfolding
+from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.errors import NEES_BOUNDS, SETTLED_S, TrackErrors, track_errors
 from ffpose.tracking.follow import Followed, follow
 from ffpose.tracking.frames import Frame, read_frames
@@ -87,11 +86,11 @@ def run(options: argparse.Namespace) -> None:
         sequence = read_frames(folder)
         poses = predicted(options.weights, folder, sequence)
         if options.whole:
-            followed = of_poses(sequence, poses, Tracker(settings), symmetry)
+            followed = of_poses(sequence, poses, Tracker(settings, symmetry=symmetry))
         else:
             camera = Camera.read(folder / "camera.json")
             estimator = load(options.weights, camera=camera, threads=1, track=True, warm_up=0)
-            looked = follow(estimator, sequence, Tracker(settings))
+            looked = follow(estimator, sequence, Tracker(settings, symmetry=symmetry))
             followed = [one._replace(alone=pose) for one, pose in zip(looked, poses, strict=True)]
         measured.append(track_errors(followed, symmetry))
         summary = {"sequence": folder.name, **measured[-1].summary()}
@@ -131,13 +130,10 @@ def _pose(plain: object) -> Pose | None:
     return Pose(t, q, PoseUncertainty(**said))
 
 
-def of_poses(
-    sequence: list[Frame], poses: list[Pose | None], tracker: Tracker, symmetry: SymmetryGroup
-) -> list[Followed]:
+def of_poses(sequence: list[Frame], poses: list[Pose | None], tracker: Tracker) -> list[Followed]:
     """Track through the poses of whole frames."""
-    unfolded, followed = Unfolding(symmetry), []
+    followed = []
     for one, pose in zip(sequence, poses, strict=True):
-        pose = pose and unfolded(tracker, one.time, pose)
         step = tracker.step(one.time, pose)
         followed.append(Followed(one, pose, step, step.outcome))
     return followed

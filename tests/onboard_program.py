@@ -72,10 +72,11 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     return model.SerializeToString()
 
 
-def steady(variance, *, takes_point=False, rounds=0, sure=True, **fields):
+def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, **fields):
     """The bytes of a graph that tells a position by the level of its input, of this variance, m².
 
-    A level above 180 shows no object. ``rounds`` of products of matrices make it slow; without
+    A level above 180 shows no object, one above ``turned``, if any, one that is half a turn about
+    its z axis farther. ``rounds`` of products of matrices make it slow; without
     ``sure`` it tells a pose alone; ``fields`` are of its metadata.
     """
     onnx = pytest.importorskip("onnx")
@@ -123,6 +124,12 @@ def steady(variance, *, takes_point=False, rounds=0, sure=True, **fields):
         work = "work"
     nodes.append(node("Add", ["seen", work], ["translation"]))
     nodes += [node("Identity", [f"{name}_"], [name]) for name in constants]
+    if turned:
+        tensors["turned"] = np.array(turned / 255, np.float32)
+        tensors["other"] = np.array([[0, 0, 0, 1]], np.float32)
+        chosen = ["is_turned", "other", "orientation_"]
+        nodes[-len(constants)] = node("Where", chosen, ["orientation"])
+        nodes.insert(-len(constants) - 1, node("Greater", ["red", "turned"], ["is_turned"]))
     inputs = [helper.make_tensor_value_info("images", 1, ["batch", 3, *SIZE])]
     if takes_point:
         inputs.append(helper.make_tensor_value_info("point", 1, ["batch", 3]))

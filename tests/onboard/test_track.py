@@ -14,6 +14,7 @@ import pytest
 
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.tracking import Settings, Tracker
@@ -21,6 +22,8 @@ from ffpose.tracking.tracker import read_settings
 from onboard_program import CAMERA, CRATE, steady
 
 pytest.importorskip("onnx")
+
+HALVES = (slice(0, 7), slice(7, None))
 
 
 @pytest.fixture
@@ -114,6 +117,32 @@ def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
     code, documents, (error,) = run(models, "--track", "--state", state, lines=lines)
     assert (code, documents) == (1, [])
     assert "state: expected one of this model and camera, got that of another" in error
+
+
+def test_attitudes_modulo_a_symmetry_continue_the_track(run, models, frames, tmp_path):
+    """A network that learned canonical labels, which change between two frames that look alike."""
+    models.with_suffix(".track.onnx").unlink()
+    plain = sealed(steady(1e-3, turned=106))
+    group = SymmetryGroup((Axis((0, 0, 1), 2), Axis((1, 0, 0), 2)))
+    models.write_bytes(plain)
+    documents = run(models, "--track", lines=lines_of(frames))[1]
+    assert [each["reason"] for each in documents[7:]] == ["gated"] * 4
+    models.write_bytes(sealed(steady(1e-3, turned=106, symmetry=group)))
+    documents = run(models, "--track", lines=lines_of(frames))[1]
+    tracker = Tracker(Settings.of(read_model_metadata(models)), symmetry=group)
+    for document in documents:
+        step = tracker.step(document["time"], pose_of(document["measured"]))
+        assert document["reason"] == step.outcome
+        if step.estimate is not None:
+            np.testing.assert_allclose(document["orientation_wxyz"], step.estimate.q, atol=1e-9)
+            np.testing.assert_allclose(document["orientation_wxyz"], [1, 0, 0, 0], atol=1e-9)
+            np.testing.assert_allclose(document["covariance"], step.estimate.covariance, atol=1e-9)
+    measured = [each["measured"]["orientation_wxyz"] for each in documents]
+    assert measured == [[1, 0, 0, 0]] * 6 + [[0, 0, 0, 1]] * 5
+    assert [each["reason"] for each in documents[7:]] == ["accepted"] * 4
+    state = ["--track", "--state", tmp_path / "track.state"]
+    parts = [run(models, *state, lines=lines_of(frames)[part])[1] for part in HALVES]
+    assert [*parts[0], *parts[1]] == documents
 
 
 def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):

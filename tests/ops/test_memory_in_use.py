@@ -199,12 +199,7 @@ sys.exit(code)
     "code",
     [
         pytest.param(FORK_DURING_CALLS, marks=pytest.mark.slow),
-        pytest.param(
-            FORK_WITH_ARRAYS_IN_USE,
-            marks=pytest.mark.skipif(
-                sys.platform != "linux", reason="elsewhere the core does not notice forks"
-            ),
-        ),
+        FORK_WITH_ARRAYS_IN_USE,
     ],
 )
 def test_a_forked_child_does_not_wait_for_its_parent_s_calls(code):

@@ -1,5 +1,7 @@
 """Tracks by a simulated network whose attitudes are modulo a symmetry of the object."""
 
+import copy
+import pickle
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
-from ffpose.tracking import Tracker, Unfolding
+from ffpose.tracking import Tracker
 from ffpose.tracking.errors import track_errors
 from ffpose.tracking.follow import follow
 from ffpose.tracking.frames import Frame
@@ -68,9 +70,10 @@ class Network:
         return Pose(true.t + noise[:3], one.as_quat(scalar_first=True), said)
 
 
-def tracked(network):
+def tracked(network, tracker=None):
     frames = [Frame(Path(f"{step}.png"), step / 2, truth(step)) for step in range(FRAMES)]
-    return list(follow(network, frames, Tracker()))
+    tracker = tracker or Tracker(symmetry=network.metadata.symmetry)
+    return list(follow(network, frames, tracker))
 
 
 def errors(followed, symmetry):
@@ -89,7 +92,8 @@ def test_errors_are_as_without_symmetry(symmetry, tmp_path):
     else:
         np.testing.assert_allclose(*[[each[name] for name in names] for each in (found, plain)])
     turns = [
-        Rotation.from_quat([a.alone.q, b.alone.q], scalar_first=True) for a, b in pairwise(followed)
+        Rotation.from_quat([a.step.estimate.q, b.step.estimate.q], scalar_first=True)
+        for a, b in pairwise(followed[3:])
     ]
     assert max((pair[0].inv() * pair[1]).magnitude() for pair in turns) < np.radians(8)
     if symmetry == FOUR:
@@ -106,10 +110,15 @@ def test_without_it_a_folded_network_is_no_track():
 
 def test_two_labels_of_one_attitude_are_one_mode():
     """At the border between canonical labels a network tells both."""
-    followed = tracked(Network(FOUR, FOUR, shares=(0.5, 0.5)))[:60]
-    assert all(each.alone.uncertainty.alternative is None for each in followed)
-    assert all(each.alone.uncertainty.probabilities == (1.0, 0.0) for each in followed)
-    assert errors(followed, FOUR)["p99_attitude_deg"] < 3
+    tracker = Tracker(symmetry=FOUR)
+    both = tracked(Network(FOUR, FOUR, shares=(0.5, 0.5)), tracker)
+    one = tracked(Network(FOUR, FOUR))
+    for each, other in zip(both, one, strict=True):
+        assert (each.step.outcome, each.step.mode) == (other.step.outcome, other.step.mode)
+        if each.step.estimate is not None:
+            assert each.step.estimate.covariance == pytest.approx(other.step.estimate.covariance)
+    assert tracker.alternative is None
+    assert errors(both[:60], FOUR)["p99_attitude_deg"] < 3
 
 
 def test_what_is_confused_beside_a_symmetry_is_followed_as_one_attitude():
@@ -122,10 +131,26 @@ def test_what_is_confused_beside_a_symmetry_is_followed_as_one_attitude():
     assert errors(followed[-40:], FOUR)["p99_attitude_deg"] < 3
 
 
-def test_what_has_nothing_to_unfold_is_the_same_pose():
-    tracker = Tracker()
-    pose = Network(FOUR, FOUR).pose(0)
-    assert Unfolding(IDENTITY)(tracker, 0.0, pose) is pose
-    empty = Pose(pose.t, pose.q, PoseUncertainty(np.eye(3), np.eye(3), 0.0, 0.5))
-    assert Unfolding(FOUR)(tracker, 0.0, empty) is empty
-    assert Unfolding(FOUR)(tracker, 0.0, truth(0)) == truth(0)
+def test_a_state_and_a_copy_go_on_modulo_the_symmetry():
+    network = Network(FOUR, FOUR)
+    tracker = Tracker(symmetry=FOUR)
+    tracked_until = [tracker.step(step / 2, network.pose(step)) for step in range(60)]
+    assert tracked_until[-1].outcome == "accepted"
+    copies = copy.copy(tracker), pickle.loads(pickle.dumps(tracker))
+    again = (*copies, Tracker.from_state(tracker.state(), symmetry=FOUR))
+    for other in again:
+        assert other.symmetry == FOUR
+    plain, lost = Tracker.from_state(tracker.state()), []
+    for step in range(60, FRAMES):
+        expected = tracker.step(step / 2, network.pose(step)).estimate.q.tolist()
+        assert all(
+            other.step(step / 2, network.pose(step)).estimate.q.tolist() == expected
+            for other in again
+        )
+        lost.append(plain.step(step / 2, network.pose(step)).outcome != "accepted")
+    assert any(lost)  # where the label changes
+
+
+def test_a_tracker_of_another_symmetry_is_refused():
+    with pytest.raises(ValueError, match=r"tracker: expected one of symmetry 4-fold about .*none"):
+        tracked(Network(FOUR, FOUR), Tracker())

@@ -5,6 +5,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Instant;
 
+use ffpose_track::Symmetry;
 use ort::session::{RunOptions, Session, SessionInputs, SessionOutputs};
 use ort::value::TensorRef;
 use serde_json::{Map, Value};
@@ -141,6 +142,11 @@ impl Estimator {
     /// What the model says of its errors for a tracker.
     pub(crate) fn tracking(&self) -> &Map<String, Value> {
         &self.metadata.tracking
+    }
+
+    /// Rotations of the object modulo which the model tells attitudes.
+    pub(crate) fn symmetry(&self) -> &Symmetry {
+        &self.metadata.symmetry
     }
 
     /// What tells tracks of other models and cameras: the SHA-256 of the model's file, or of that and how its images are taken.

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use ffpose_track::{Axis, Symmetry};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -37,6 +38,8 @@ pub struct Metadata {
     pub weights_sha256: String,
     /// SHA-256 of the file of the looks of a track, hexadecimal; `None` where there was none at the export.
     pub track_sha256: Option<String>,
+    /// Rotations of the object modulo which attitudes are told.
+    pub symmetry: Symmetry,
     /// What a tracker expects of the network's errors: settings by their names.
     pub tracking: Map<String, Value>,
     /// Whether the images trained on were undistorted.
@@ -95,6 +98,7 @@ impl Metadata {
             takes_point: entries.get("takes_point").is_some_and(|value| value == "true"),
             weights_sha256: entries.get("weights_sha256").cloned().unwrap_or_default(),
             track_sha256: entries.get("track_sha256").cloned(),
+            symmetry: symmetry(entries)?,
             tracking: match entries.get("tracking").map(|text| serde_json::from_str(text)) {
                 None => Map::new(),
                 Some(Ok(Value::Object(settings))) => settings,
@@ -185,6 +189,26 @@ fn numbers<const N: usize>(
     };
     let found = found.and_then(|values| <[f64; N]>::try_from(values).ok());
     found.map(Some).ok_or_else(|| Error::new(format!("{name}: expected {N} numbers, got {value}")))
+}
+
+/// Reads the axes of a symmetry, each with the number of its turns or "any"; without an entry there is none.
+fn symmetry(entries: &HashMap<String, String>) -> Result<Symmetry> {
+    if !entries.contains_key("symmetry") {
+        return Ok(Symmetry::default());
+    }
+    let value = json(entries, "symmetry")?;
+    let axis = |value: &Value| {
+        let numbers = value["axis"].as_array()?.iter().map(Value::as_f64);
+        let fold = match &value["fold"] {
+            Value::String(any) if any == "any" => 0,
+            number => u32::try_from(number.as_u64()?).ok().filter(|fold| *fold > 1)?,
+        };
+        Some(Axis { direction: numbers.collect::<Option<Vec<_>>>()?.try_into().ok()?, fold })
+    };
+    let axes: Option<Vec<Axis>> =
+        value.as_array().and_then(|values| values.iter().map(axis).collect());
+    let expected = || Error::new(format!("symmetry: expected axes with their folds, got {value}"));
+    Symmetry::new(&axes.ok_or_else(expected)?).map_err(|error| Error::new(error.to_string()))
 }
 
 fn camera(entries: &HashMap<String, String>, name: &str) -> Result<Option<Camera>> {
@@ -300,6 +324,30 @@ mod tests {
             let entries = [&ENTRIES[..], &[("locates", target)]].concat();
             let metadata = Metadata::of(&sealed(model(&entries))).unwrap();
             assert_eq!(metadata.meaning.locates_camera, expected);
+        }
+    }
+
+    #[test]
+    fn the_symmetry_is_read() {
+        let read = |axes: &str| {
+            let entries = [&ENTRIES[..], &[("symmetry", axes)]].concat();
+            Metadata::of(&sealed(model(&entries)))
+        };
+        let plain = Metadata::of(&sealed(model(&ENTRIES))).unwrap().symmetry;
+        assert_eq!(plain, Symmetry::default());
+        let axes = [([0.0, 0.0, 1.0], 0), ([1.0, 0.0, 0.0], 2)];
+        let axes = axes.map(|(direction, fold)| Axis { direction, fold });
+        let cylinder = r#"[{"axis": [0, 0, 1], "fold": "any"}, {"axis": [1.0, 0, 0], "fold": 2}]"#;
+        assert_eq!(read(cylinder).unwrap().symmetry, Symmetry::new(&axes).unwrap());
+        for axes in [
+            r#"{"axis": [0, 0, 1]}"#,
+            r#"[{"axis": [0, 1], "fold": 2}]"#,
+            r#"[{"axis": [0, 0, 1], "fold": -2}]"#,
+            r#"[{"axis": [0, 0, 1], "fold": 0}]"#,
+            r#"[{"axis": [0, 0, 1], "fold": "some"}]"#,
+            r#"[{"axis": [0, 0, 0], "fold": 2}]"#,
+        ] {
+            assert!(read(axes).unwrap_err().to_string().contains("symmetry: expected"), "{axes}");
         }
     }
 

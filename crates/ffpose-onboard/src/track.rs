@@ -52,6 +52,7 @@ impl Track {
     pub(crate) fn new(estimator: &Estimator, settings: Option<&Path>) -> Result<Self> {
         let tracker = Tracker::new(parameters(estimator, settings)?);
         let tracker = tracker.map_err(|error| Error::new(error.to_string()))?;
+        let tracker = tracker.modulo(estimator.symmetry().clone());
         Ok(Self { tracker, tag: *estimator.tag(), state: None })
     }
 
@@ -175,7 +176,7 @@ impl Track {
             let other = "state: expected one of these settings, got that of others";
             return Err(Error::new(other).of(path.display()));
         }
-        self.tracker = tracker;
+        self.tracker = tracker.modulo(self.tracker.symmetry().clone());
         Ok(())
     }
 }

@@ -78,7 +78,7 @@ pub(crate) fn forks() -> usize {
 }
 
 /// Lets forked children know that they are.
-#[cfg(target_os = "linux")]
+#[cfg(unix)]
 pub(crate) fn watch_forks() {
     extern "C" fn note() {
         FORKS.fetch_add(1, Ordering::Relaxed);
@@ -89,8 +89,8 @@ pub(crate) fn watch_forks() {
     assert!(status == 0, "pthread_atfork failed with status {status}");
 }
 
-#[cfg(not(target_os = "linux"))]
-pub(crate) fn watch_forks() {}
+#[cfg(not(unix))]
+pub(crate) fn watch_forks() {} // there are none
 
 /// Looks for the function in the library that the process has loaded.
 ///

@@ -1,7 +1,8 @@
 //! The tracker for Python: numbers in, a dictionary out.
 
 use ffpose_track::{
-    Error, Estimate, MODES, Measurement, Mode, Outcome, Parameters, Step, TAG_BYTES, Tracker,
+    Axis, Error, Estimate, MODES, Measurement, Mode, Outcome, Parameters, Step, Symmetry,
+    TAG_BYTES, Tracker,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -12,6 +13,9 @@ type Matrix = [[f64; 3]; 3];
 /// Position, orientation, their covariances, and the probability.
 type Pose = ([f64; 3], [f64; 4], Matrix, Matrix, f64);
 
+/// Axes of symmetry: direction, and number of turns about it, 0 for any angle.
+type Axes = Vec<([f64; 3], u32)>;
+
 /// The tracker of ffpose-track; `ffpose.tracking.Tracker` explains it.
 #[pyclass(name = "Tracker", module = "ffpose._rust")]
 pub(crate) struct PyTracker(Tracker);
@@ -20,7 +24,7 @@ pub(crate) struct PyTracker(Tracker);
 impl PyTracker {
     /// A tracker with settings by name, each a list of numbers, angles in degrees; those left out are the usual ones.
     #[new]
-    fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
+    fn new(settings: &Bound<'_, PyDict>, axes: Axes) -> PyResult<Self> {
         let mut parameters = Parameters::default();
         for (name, value) in settings {
             let values: Vec<f64> = value.extract()?;
@@ -29,13 +33,13 @@ impl PyTracker {
                 PyValueError::new_err(format!("{name}: {error}, got {values:?}"))
             })?;
         }
-        Tracker::new(parameters).map(Self).map_err(raised)
+        modulo(Tracker::new(parameters), axes)
     }
 
     /// The tracker of `state`, whose tag of 32 bytes must be the same.
     #[staticmethod]
-    fn from_state(state: &[u8], tag: [u8; TAG_BYTES]) -> PyResult<Self> {
-        Tracker::from_bytes(state, &tag).map(Self).map_err(raised)
+    fn from_state(state: &[u8], tag: [u8; TAG_BYTES], axes: Axes) -> PyResult<Self> {
+        modulo(Tracker::from_bytes(state, &tag), axes)
     }
 
     /// The tracker as bytes, with a tag of 32 bytes.
@@ -71,6 +75,12 @@ impl PyTracker {
     fn time(&self) -> Option<f64> {
         self.0.time()
     }
+}
+
+fn modulo(tracker: Result<Tracker, Error>, axes: Axes) -> PyResult<PyTracker> {
+    let axes: Vec<_> = axes.into_iter().map(|(direction, fold)| Axis { direction, fold }).collect();
+    let made = tracker.and_then(|tracker| Ok(tracker.modulo(Symmetry::new(&axes)?)));
+    made.map(PyTracker).map_err(raised)
 }
 
 fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {

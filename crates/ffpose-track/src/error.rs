@@ -55,6 +55,11 @@ pub enum Error {
         /// How many it has.
         expected: usize,
     },
+    /// Axes of symmetry that go together in no group.
+    Symmetry {
+        /// What they are not.
+        expected: &'static str,
+    },
     /// A saved state that cannot be taken up.
     State {
         /// Why.
@@ -85,6 +90,7 @@ impl Display for Error {
             Self::Setting => write!(f, "expected a setting of the tracker"),
             Self::Numbers { expected: 1 } => write!(f, "expected a number"),
             Self::Numbers { expected } => write!(f, "expected {expected} numbers"),
+            Self::Symmetry { expected } => write!(f, "symmetry: expected {expected}"),
             Self::State { reason } => write!(f, "state: {reason}"),
         }
     }

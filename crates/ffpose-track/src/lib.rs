@@ -8,6 +8,7 @@
 //!   vector along the object's axes, `R_true = R exp([θ]×)`.
 //! - A network's errors are functions of what it sees: they repeat while the object shows the same side, however many frames
 //!   are taken. Beside twelve numbers of the motion six are such errors, first-order Gauss–Markov processes in the *angle turned*.
+//! - Of the attitudes that look alike by a [`Symmetry`] of the object a frame's is the one that continues a filter.
 //! - [`Tracker`] holds up to three filters, one for each attitude that the frames speak for, and says which of them leads.
 
 #![no_std]
@@ -19,6 +20,7 @@ mod motion;
 mod parameters;
 mod rotation;
 mod state;
+mod symmetry;
 mod tracker;
 
 pub use error::Error;
@@ -26,4 +28,5 @@ pub use filter::{Covariance, Filter, Innovation};
 pub use measurement::{MODES, Measurement, Mode};
 pub use parameters::Parameters;
 pub use state::{STATE_BYTES, TAG_BYTES};
+pub use symmetry::{Axis, Symmetry};
 pub use tracker::{Estimate, HYPOTHESES, Outcome, Step, Tracker};

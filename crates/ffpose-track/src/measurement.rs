@@ -4,6 +4,7 @@ use libm::{fabs, sqrt};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use crate::error::Error;
+use crate::symmetry::{Symmetry, product};
 
 /// The most attitudes that a network may offer for one frame.
 pub const MODES: usize = 2;
@@ -13,6 +14,9 @@ const NORM_TOLERANCE: f64 = 1e-3;
 
 /// How far from symmetric a covariance may be, as a share of its largest element.
 const SYMMETRY_TOLERANCE: f64 = 1e-5;
+
+/// The product of unit quaternions of two modes that are one attitude: cos 2.5°, as they are then 5° apart.
+const ONE_ATTITUDE: f64 = 0.999_048;
 
 /// Sweeps within which the eigenvalues of a matrix of three rows are found: a handful is usual.
 const SWEEPS: usize = 100;
@@ -79,6 +83,20 @@ impl Mode {
             probability,
         })
     }
+
+    /// The pose with another orientation, which looks the same: its errors are the same along the camera's axes.
+    fn turned(self, orientation: UnitQuaternion<f64>) -> Self {
+        let turn = (self.orientation.inverse() * orientation).to_rotation_matrix();
+        let along = |matrix: &Matrix3<f64>| {
+            symmetric(&(turn.matrix().transpose() * matrix * turn.matrix()))
+        };
+        Self {
+            orientation,
+            attitude_covariance: along(&self.attitude_covariance),
+            attitude_root: along(&self.attitude_root),
+            ..self
+        }
+    }
 }
 
 /// What a frame says: one pose or several, of which one is true.
@@ -102,6 +120,31 @@ impl Measurement {
             *place = Some(*mode).filter(|mode| mode.probability > 0.0);
         }
         Ok(Self { modes: kept })
+    }
+
+    /// The poses with the attitudes of their looks that are nearest to any that are expected; two that look alike become one.
+    pub(crate) fn unfolded(
+        &self,
+        symmetry: &Symmetry,
+        expected: &[Option<UnitQuaternion<f64>>],
+    ) -> Self {
+        if symmetry.is_trivial() {
+            return *self;
+        }
+        let mut kept: [Option<Mode>; MODES] = [None; MODES];
+        for (place, mode) in self.modes() {
+            let alike = |one: &&mut Mode| {
+                let q = symmetry.nearest(&mode.orientation, [one.orientation].into_iter());
+                product(&one.orientation, &q) > ONE_ATTITUDE
+            };
+            if let Some(one) = kept.iter_mut().flatten().find(alike) {
+                one.probability = (one.probability + mode.probability).min(1.0);
+            } else {
+                let wanted = expected.iter().flatten().copied();
+                kept[place] = Some(mode.turned(symmetry.nearest(&mode.orientation, wanted)));
+            }
+        }
+        Self { modes: kept }
     }
 
     /// The poses with their places.

@@ -5,6 +5,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use crate::error::Error;
 use crate::filter::{Covariance, Cross, ERRORS, Filter, MOTION};
 use crate::parameters::{self, Parameters};
+use crate::symmetry::Symmetry;
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
@@ -85,6 +86,7 @@ impl Tracker {
             .filter(|place| hypotheses[*place].is_some());
         Ok(Self {
             parameters,
+            symmetry: Symmetry::default(),
             time: Some(time).filter(|t| t.is_finite()),
             camera_rate,
             hypotheses,

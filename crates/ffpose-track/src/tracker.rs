@@ -1,5 +1,7 @@
 //! Which of several tracks the frames speak for.
 
+use core::array::from_fn;
+
 use libm::{exp, log};
 use nalgebra::Vector3;
 
@@ -7,6 +9,7 @@ use crate::error::Error;
 use crate::filter::{Covariance, Filter, Innovation};
 use crate::measurement::{Measurement, Mode, finite};
 use crate::parameters::Parameters;
+use crate::symmetry::Symmetry;
 
 /// The most attitudes that are followed at once.
 pub const HYPOTHESES: usize = 3;
@@ -112,6 +115,7 @@ impl Hypothesis {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracker {
     pub(crate) parameters: Parameters,
+    pub(crate) symmetry: Symmetry,
     /// Time of the last frame.
     pub(crate) time: Option<f64>,
     pub(crate) camera_rate: Vector3<f64>,
@@ -129,11 +133,26 @@ impl Tracker {
         parameters.check()?;
         Ok(Self {
             parameters,
+            symmetry: Symmetry::default(),
             time: None,
             camera_rate: Vector3::zeros(),
             hypotheses: [None; HYPOTHESES],
             leading: None,
         })
+    }
+
+    /// The tracker of poses by a network that tells attitudes modulo a symmetry; a state does not hold it.
+    ///
+    /// Of the attitudes that look alike each track takes the nearest to its own.
+    #[must_use]
+    pub fn modulo(self, symmetry: Symmetry) -> Self {
+        Self { symmetry, ..self }
+    }
+
+    /// The symmetry modulo which attitudes are told.
+    #[must_use]
+    pub fn symmetry(&self) -> &Symmetry {
+        &self.symmetry
     }
 
     /// The settings.
@@ -199,14 +218,18 @@ impl Tracker {
             corrected: [false; HYPOTHESES],
             of_leader: None,
         };
-        for place in 0..HYPOTHESES {
-            self.follow(place, elapsed, measurement, &mut frame);
+        let news: [f64; HYPOTHESES] = from_fn(|place| self.predict(place, elapsed, time));
+        for (place, news) in news.into_iter().enumerate() {
+            self.follow(place, news, measurement, &mut frame);
         }
         // before a pose is followed in the place of a leader that has ended
         self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
         let kept = self.leading;
         if let Some(measurement) = measurement {
             let explained = frame.explained;
+            let followed: [_; HYPOTHESES] =
+                from_fn(|place| self.hypotheses[place].as_ref().map(|one| one.filter.orientation));
+            let measurement = measurement.unfolded(&self.symmetry, &followed);
             for (_, pose) in measurement.modes().filter(|(mode, _)| !explained[*mode]) {
                 if let Some(place) = self.propose(pose, time) {
                     frame.corrected[place] = true;
@@ -246,27 +269,35 @@ impl Tracker {
         self.motion(self.best(|place| Some(place) != self.leading)?)
     }
 
-    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it, and unseen where it has
+    /// Moves a hypothesis on to the time of a frame, and returns what a frame says by the angle turned; it ends where it has
     /// believed none for too long.
+    fn predict(&mut self, place: usize, elapsed: f64, time: f64) -> f64 {
+        let Some(hypothesis) = &mut self.hypotheses[place] else { return 0.0 };
+        let parameters = &self.parameters;
+        if time - hypothesis.last > parameters.coasting {
+            // so little is known after a long silence that nearly any frame would pass the gate
+            self.hypotheses[place] = None;
+            return 0.0;
+        }
+        let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
+        OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle)
+    }
+
+    /// Compares a hypothesis with the frame; it ends where too little speaks for it.
     fn follow(
         &mut self,
         place: usize,
-        elapsed: f64,
+        news: f64,
         measurement: Option<&Measurement>,
         frame: &mut Frame,
     ) {
         let Some(hypothesis) = &mut self.hypotheses[place] else { return };
         let parameters = &self.parameters;
-        if frame.time - hypothesis.last > parameters.coasting {
-            // so little is known after a long silence that nearly any frame would pass the gate
-            self.hypotheses[place] = None;
-            return;
-        }
-        let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
-        let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
         let mut ends = false;
         if let Some(measurement) = measurement {
-            let found = closest(&hypothesis.filter, measurement, parameters);
+            let own = [Some(hypothesis.filter.orientation)];
+            let measurement = measurement.unfolded(&self.symmetry, &own);
+            let found = closest(&hypothesis.filter, &measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
             if let Some((_, _, innovation)) = &found {
                 hypothesis.views += news;
@@ -323,7 +354,7 @@ impl Tracker {
                 let (Some(a), Some(b)) = (&self.hypotheses[first], &self.hypotheses[second]) else {
                     continue;
                 };
-                if !a.filter.is_same(&b.filter) {
+                if !a.filter.is_same(&b.filter, &self.symmetry) {
                     continue;
                 }
                 let keeps_second = self.leading != Some(first)
@@ -400,9 +431,11 @@ impl Tracker {
 
 impl Filter {
     /// Whether two tracks have become one.
-    fn is_same(&self, other: &Self) -> bool {
-        self.orientation.angle_to(&other.orientation) < SAME_ANGLE
-            && (self.rate - other.rate).norm() < SAME_RATE
+    fn is_same(&self, other: &Self, symmetry: &Symmetry) -> bool {
+        let orientation = symmetry.nearest(&other.orientation, [self.orientation].into_iter());
+        let turn = orientation.inverse() * other.orientation;
+        self.orientation.angle_to(&orientation) < SAME_ANGLE
+            && (self.rate - turn * other.rate).norm() < SAME_RATE
             && (self.position - other.position).norm() < SAME_POSITION * self.position.norm()
     }
 }

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffpose.geometry import FloatArray
-from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
+from ffpose.geometry.rotations import conjugate, multiply, rotation_matrix, rotation_vector
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.trajectory import Trajectory
-from ffpose.tracking.symmetry import Compared
 
 if TYPE_CHECKING:
     from ffpose.tracking.follow import Followed
@@ -88,14 +87,14 @@ class TrackErrors:
 def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTITY) -> TrackErrors:
     """Compare a track with the frames' poses; frames without one leave gaps.
 
-    Errors of the track are modulo one rotation of ``symmetry`` (`Compared`), those of frames alone
-    modulo any.
+    Errors of the track are modulo one rotation of ``symmetry``, chosen where an attitude begins to
+    lead and kept while it does, those of frames alone modulo any.
     """
     count = len(followed)
     errors, deviations = np.full((2, count, 12), np.nan)
     nees, nis, turned, since = np.full((4, count), np.nan)
     alone, attitudes = np.full((count, 2), np.nan), np.full((count, 4), np.nan)
-    compared = Compared(symmetry)
+    compared = _Compared(symmetry)
     truth, places = _truth(followed)
     start, way = np.nan, 0.0
     for row, each in enumerate(followed):
@@ -131,6 +130,40 @@ def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTIT
         errors[row] = error
     times = np.array([each.frame.time for each in followed])
     return TrackErrors(times, errors, deviations, nees, nis, alone, attitudes, turned, since)
+
+
+class _Compared:
+    """True attitudes to compare a track with: those of one rotation of the symmetry.
+
+    It is chosen where an attitude begins to lead, as the nearest, and kept while it does; turns
+    about an axis of any angle, which no image shows, are those of the track.
+    """
+
+    def __init__(self, symmetry: SymmetryGroup) -> None:
+        self._symmetry = symmetry
+        free = tuple(axis for axis in symmetry.axes if axis.fold == 0)
+        self._spins, self._axis = SymmetryGroup(free), free[0].unit if free else np.zeros(3)
+        self._chosen: FloatArray | None = None
+
+    def __call__(self, each: Followed, w: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return the true attitude and angular velocity, rad/s along its axes; None without.
+
+        ``w`` is the angular velocity along the axes of the frame's own true attitude.
+        """
+        one, pose = each.step.estimate, each.frame.pose
+        if one is None or each.step.outcome == "switched":
+            self._chosen = None
+        if one is None or pose is None:
+            return None
+        if self._chosen is None:
+            self._chosen = multiply(conjugate(pose.q), self._nearest(self._symmetry, one.q, pose.q))
+        q = self._nearest(self._spins, one.q, multiply(pose.q, self._chosen))
+        turned = w @ rotation_matrix(multiply(conjugate(pose.q), q))
+        return q, turned + self._axis * (self._axis @ (np.radians(one.w) - turned))
+
+    @staticmethod
+    def _nearest(group: SymmetryGroup, q_hat: FloatArray, q: FloatArray) -> FloatArray:
+        return np.asarray(group.nearest(q_hat[None], q[None])[0])
 
 
 def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:

@@ -14,7 +14,6 @@ from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.prediction import Failure, axis_length, predict
 from ffpose.tracking.frames import Frame
 from ffpose.tracking.report import write_overlay, write_report
-from ffpose.tracking.symmetry import Unfolding
 from ffpose.tracking.tracker import Settings, Step, Tracker
 
 TRAJECTORY, REPORT, OVERLAY = "trajectory.csv", "report.html", "overlay.webp"
@@ -52,23 +51,22 @@ def follow(
     An image that cannot be used is coasted over, and so is a pose whose covariances the tracker
     refuses, as rounding can leave them without an inverse. If the network's single look was opened,
     it looks where the object is expected, and searches a whole frame where that is not known
-    (`Tracker.expected`). The tracker goes on from where it is. Attitudes of a network that was
-    trained modulo a symmetry are those of the same look that continue the track (`Unfolding`).
+    (`Tracker.expected`). The tracker goes on from where it is.
 
     Raises:
-        ValueError: The network has no uncertainty or locates the camera, or a time is not later
-            than the tracker's.
+        ValueError: The network has no uncertainty or locates the camera, the tracker is not of its
+            symmetry, or a time is not later than the tracker's.
     """
     if estimator.metadata.locates == "camera":
         raise ValueError("weights: expected some that locate an object, got ones of a camera")
-    unfolded = Unfolding(estimator.metadata.symmetry)
+    told, own = estimator.metadata.symmetry, tracker.symmetry
+    if not (told.has(own.rotations) and own.has(told.rotations)):
+        raise ValueError(f"tracker: expected one of symmetry {told}, got {own}")
     for frame in frames:
         point = None if estimator.near is None else tracker.expected(frame.time)
         (answer,) = predict(estimator, [frame.image], point=point)
         alone = None if isinstance(answer, Failure) else answer.pose
         try:
-            if alone is not None:
-                alone = unfolded(tracker, frame.time, alone)
             step = tracker.step(frame.time, alone)
             reason = explain(answer.error) if isinstance(answer, Failure) else step.outcome
         except ValueError as error:
@@ -116,7 +114,8 @@ def run(
     followed: list[Followed] = []
     try:
         settings = settings or Settings.of(estimator.metadata)
-        for each in follow(estimator, frames, Tracker(settings)):
+        tracker = Tracker(settings, symmetry=estimator.metadata.symmetry)
+        for each in follow(estimator, frames, tracker):
             followed.append(each)
             said(each)
     finally:

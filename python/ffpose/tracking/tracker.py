@@ -12,6 +12,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +23,7 @@ from ffpose import _rust
 from ffpose._internal.files import read_json, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import FloatArray, Pose
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
 if TYPE_CHECKING:
     from ffpose.inference.estimator import Description
@@ -207,9 +209,12 @@ class Tracker:
 
     Args:
         settings: What it expects and how it decides.
+        symmetry: That modulo which the network tells attitudes (`PoseEstimator.metadata`): of those
+            of one look a track takes the nearest to its own. About an axis of any angle neither
+            attitude nor angular velocity is seen, and their standard deviations mean nothing.
 
     Raises:
-        ValueError: A setting is out of its range.
+        ValueError: A setting is out of its range, or the symmetry is of no finite group.
 
     Examples:
         >>> from ffpose.geometry import PoseUncertainty
@@ -222,11 +227,20 @@ class Tracker:
         [0.0, 0.0, -0.1]
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(
+        self, settings: Settings | None = None, *, symmetry: SymmetryGroup = IDENTITY
+    ) -> None:
         named = asdict(settings or Settings()).items()
+        self._symmetry = symmetry
         self._tracker = _rust.Tracker(
-            {name: np.atleast_1d(np.asarray(value, np.float64)).tolist() for name, value in named}
+            {name: np.atleast_1d(np.asarray(value, np.float64)).tolist() for name, value in named},
+            list(symmetry.axes),
         )
+
+    @property
+    def symmetry(self) -> SymmetryGroup:
+        """That modulo which poses tell attitudes."""
+        return self._symmetry
 
     @property
     def time(self) -> float | None:
@@ -292,19 +306,24 @@ class Tracker:
         return self._tracker.state(hashlib.sha256(model).digest())
 
     @classmethod
-    def from_state(cls, state: bytes, model: bytes = b"") -> Tracker:
+    def from_state(
+        cls, state: bytes, model: bytes = b"", *, symmetry: SymmetryGroup = IDENTITY
+    ) -> Tracker:
         """Return the tracker of `state`, which goes on as if it had never stopped.
+
+        The state does not hold the ``symmetry``, which is that of the model.
 
         Raises:
             ValueError: The bytes are no state, damaged, or of another model.
         """
-        tracker = cls.__new__(cls)
-        tracker._tracker = _rust.Tracker.from_state(state, hashlib.sha256(model).digest())
+        tracker, tag = cls.__new__(cls), hashlib.sha256(model).digest()
+        tracker._symmetry = symmetry
+        tracker._tracker = _rust.Tracker.from_state(state, tag, list(symmetry.axes))
         return tracker
 
     def __reduce__(self) -> tuple[Callable[[bytes], Tracker], tuple[bytes]]:
         """Copies and pickles are trackers of their own: a copy can look ahead."""
-        return type(self).from_state, (self.state(),)
+        return partial(type(self).from_state, symmetry=self._symmetry), (self.state(),)
 
 
 def _turning(camera_rate: ArrayLike) -> list[float]:
