@@ -205,10 +205,10 @@ fn symmetry(entries: &HashMap<String, String>) -> Result<Symmetry> {
         };
         Some(Axis { direction: numbers.collect::<Option<Vec<_>>>()?.try_into().ok()?, fold })
     };
-    let axes: Option<Vec<Axis>> =
+    let all: Option<Vec<Axis>> =
         value.as_array().and_then(|values| values.iter().map(axis).collect());
     let expected = || Error::new(format!("symmetry: expected axes with their folds, got {value}"));
-    Symmetry::new(&axes.ok_or_else(expected)?).map_err(|error| Error::new(error.to_string()))
+    Symmetry::new(&all.ok_or_else(expected)?).map_err(|error| Error::new(error.to_string()))
 }
 
 fn camera(entries: &HashMap<String, String>, name: &str) -> Result<Option<Camera>> {

@@ -218,9 +218,8 @@ impl Tracker {
             corrected: [false; HYPOTHESES],
             of_leader: None,
         };
-        let news: [f64; HYPOTHESES] = from_fn(|place| self.predict(place, elapsed, time));
-        for (place, news) in news.into_iter().enumerate() {
-            self.follow(place, news, measurement, &mut frame);
+        for place in 0..HYPOTHESES {
+            self.follow(place, elapsed, measurement, &mut frame);
         }
         // before a pose is followed in the place of a leader that has ended
         self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
@@ -269,30 +268,24 @@ impl Tracker {
         self.motion(self.best(|place| Some(place) != self.leading)?)
     }
 
-    /// Moves a hypothesis on to the time of a frame, and returns what a frame says by the angle turned; it ends where it has
+    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it, and unseen where it has
     /// believed none for too long.
-    fn predict(&mut self, place: usize, elapsed: f64, time: f64) -> f64 {
-        let Some(hypothesis) = &mut self.hypotheses[place] else { return 0.0 };
-        let parameters = &self.parameters;
-        if time - hypothesis.last > parameters.coasting {
-            // so little is known after a long silence that nearly any frame would pass the gate
-            self.hypotheses[place] = None;
-            return 0.0;
-        }
-        let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
-        OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle)
-    }
-
-    /// Compares a hypothesis with the frame; it ends where too little speaks for it.
     fn follow(
         &mut self,
         place: usize,
-        news: f64,
+        elapsed: f64,
         measurement: Option<&Measurement>,
         frame: &mut Frame,
     ) {
         let Some(hypothesis) = &mut self.hypotheses[place] else { return };
         let parameters = &self.parameters;
+        if frame.time - hypothesis.last > parameters.coasting {
+            // so little is known after a long silence that nearly any frame would pass the gate
+            self.hypotheses[place] = None;
+            return;
+        }
+        let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
+        let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
         let mut ends = false;
         if let Some(measurement) = measurement {
             let own = [Some(hypothesis.filter.orientation)];

@@ -44,8 +44,8 @@ fn one_wrong_time_is_a_gap_and_no_more() {
             let step = tracker.step(wrong, seen.as_ref(), STILL).unwrap();
             assert_eq!(step.outcome, Outcome::Lost);
             let state = tracker.to_bytes(&[0; 32]);
-            let again = Tracker::from_bytes(&state, &[0; 32]).unwrap();
-            for mut tracker in [tracker, again] {
+            let mut again = Tracker::from_bytes(&state, &[0; 32]).unwrap();
+            for tracker in [&mut tracker, &mut again] {
                 let outcomes = [6.0, 7.0, 8.0, 9.0, 10.0].map(|time| {
                     let shown = Shown::tumbling(time, &mut Random(5)).measurement();
                     tracker.step(time, Some(&shown), STILL).unwrap().outcome
