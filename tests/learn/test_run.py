@@ -341,7 +341,7 @@ def test_sides_that_are_taken_for_each_other_are_told():
 
 
 def test_what_is_not_folded_is_told_beside_the_error(tmp_path):
-    """An error modulo what looks the same, or nearly so, never stands in the error's place."""
+    """An error modulo a symmetry that is not folded never replaces the error."""
     path, half = tmp_path / "symmetry.json", {"axis": [0, 1, 0], "fold": 2}
     folded = SymmetryGroup((Axis((0, 0, 1), 2),))
     near = [half | {"noise": 9.0}, {"axis": [1, 0, 0], "fold": 2}]  # which complete one group

@@ -74,10 +74,9 @@ class Evaluation:
     images without it; ``alternative`` are second most likely attitudes ``(N, 4)``, and
     ``probabilities (N, 2)`` those of the predicted and of these. All of these are None for a
     network without uncertainty, the last two for one that tells no second mode too. Errors, of the
-    baseline too, are to the nearest attitude of the same look by ``symmetry``;
-    ``unfolded`` are larger groups, of what looks the same or nearly so, modulo which the summary
-    has errors too. ``axis_m`` is the length of axes as they are drawn, as of
-    `ffpose.imaging.overlay.draw_axes`.
+    baseline too, are to the nearest attitude of the same look by ``symmetry``; ``unfolded`` are
+    larger symmetry groups, exact or near, modulo which the summary has errors too. ``axis_m`` is
+    the length of axes as they are drawn, as of `ffpose.imaging.overlay.draw_axes`.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside

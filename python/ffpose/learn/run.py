@@ -355,7 +355,7 @@ def _validated(result: TrainResult) -> str:
 
 
 def _unfolded(path: Path, folded: SymmetryGroup) -> tuple[SymmetryGroup, ...]:
-    """Return groups of what looks the same, and nearly so, but is not folded, each with what is."""
+    """Return the symmetry groups, exact and near, that are not folded; each has the folded one."""
     found = read_json(path)
     same, near = ([_axis(each) for each in found.get(name, [])] for name in ("same", "near"))
     groups = [folded]
