@@ -431,8 +431,8 @@ def verdict(summary: dict[str, Any]) -> str:
     for each in summary.get("modulo_unfolded", []):
         constants = summary["mean_pose_baseline"], each["mean_pose_baseline"]
         whole, of_group = (source["mean_rotation_error_deg"] for source in constants)
-        share = each["mean_rotation_error_deg"] / max(summary["mean_rotation_error_deg"], 1e-9)
-        if share < TOLD_MODULO * of_group / whole:
+        own, modulo_it = (source["mean_rotation_error_deg"] for source in (summary, each))
+        if modulo_it * whole < TOLD_MODULO * of_group * own:  # no ratios: errors may be zero
             text += (
                 f"; modulo {SymmetryGroup.from_json(each['axes'])}, which is not folded,"
                 f" {each['median_rotation_error_deg']:.2f} degrees (a constant pose"
