@@ -18,8 +18,12 @@ from ffpose.models.base import UncertainPose
 from ffpose.models.second_look import calibrated
 from ffpose.training.calibrate import (
     LEAST_DEGREES_OF_FREEDOM,
+    LEAST_MOSTLY_CUT,
     LEAST_SLOPE,
+    MOST_GROWTH,
+    Tails,
     calibrate,
+    covering_growth,
     fit_tails,
     truncation_distance,
 )
@@ -234,6 +238,38 @@ def test_the_correction_of_cut_distances_has_the_least_absolute_errors():
     assert truncation_distance(too_far, np.zeros(999)) == 0
 
 
+@pytest.mark.parametrize("power", [2, 4])
+@pytest.mark.parametrize("split_modes", [False, True])
+def test_regions_of_much_cut_objects_hold_their_share_however_errors_grow(power, split_modes):
+    """SciPy's distribution of F judges other draws; the growth found is of the squared share."""
+    rng, count, nu = np.random.default_rng(6), 4000, 5.0
+
+    def draw():
+        cut, doubt = rng.uniform(0.35, 0.9, count), rng.random(count) ** 2
+        scale = (1 + 3 * doubt) ** 2 * (1 + 8 * cut**power) ** 2
+        return 3 * f.rvs(3, nu, size=count, random_state=rng) * scale, doubt, cut
+
+    d2, doubt, cut = draw()
+    p = np.ones((count, 1))
+    if split_modes:  # half of the truths are about the second, farther than any region reaches
+        d2, p = np.stack([d2, np.full(count, 1e9)], axis=1), np.full((count, 2), 0.5)
+        d2[::2] = d2[::2, ::-1]
+    else:
+        d2 = d2[:, None]
+    found = covering_growth(Tails(nu / (nu - 2), 3.0, 0.0, nu), d2, doubt, cut, p)
+    if power == 2:
+        assert found == pytest.approx(8, rel=0.1)
+    d2, doubt, cut = draw()
+    region = f.cdf(d2 / ((1 + 3 * doubt) * (1 + found * cut**2)) ** 2 / 3, 3, nu)
+    assert (region <= 0.9).mean() == pytest.approx(0.9, abs=0.015)
+
+
+@pytest.mark.parametrize(("size", "expected"), [(1e-3, 0.0), (1e12, MOST_GROWTH)])
+def test_the_growth_is_none_at_least_and_bounded(size, expected):
+    d2, doubt, cut, p = np.full((60, 1), size), np.zeros(60), np.full(60, 0.5), np.ones((60, 1))
+    assert covering_growth(Tails(1.0, 0.0, 1.0, 5.0), d2, doubt, cut, p) == expected
+
+
 class Beside(Drawn):
     """Finds what dark pictures show on the left border of the frame, and other objects ahead."""
 
@@ -268,6 +304,23 @@ def test_objects_that_the_border_cuts_come_nearer():
     model.config = replace(model.config, truncation_distance=found.truncation_distance)
     nearer = model(cut[0].image).translation
     torch.testing.assert_close(nearer.double(), cut[0].translation, rtol=1e-3, atol=0)
+
+
+@pytest.mark.parametrize("images", [400, 40])
+def test_cut_objects_whose_errors_have_another_distribution_are_in_their_regions(images):
+    """Errors within a ball; too few leave the growth of the largest likelihood."""
+    rng, model = np.random.default_rng(8), Beside()
+    ways = rng.standard_normal((images, 3))
+    moved = 2 * ways * (rng.random(images) ** (1 / 3) / np.linalg.norm(ways, axis=1))[:, None]
+    cut = [
+        batch._replace(translation=torch.tensor(20 * np.array(model.beside) + part))
+        for batch, part in zip(split(5, images, level=0.5), np.split(moved, 4), strict=True)
+    ]
+    found = calibrate(model, split(0), absent(), cut)
+    variance = SAID[0] * float(found.variance_scales[0]) * (1 + found.truncation_sigma[0] / 4) ** 2
+    regions = region_probability((moved**2).sum(1) / variance, found.degrees_of_freedom[0])
+    share = (regions <= 0.9).mean()
+    assert share == pytest.approx(0.9, abs=0.01) if images > LEAST_MOSTLY_CUT else share > 0.95
 
 
 def test_the_threshold_parts_what_can_be_parted():

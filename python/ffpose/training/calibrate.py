@@ -13,7 +13,9 @@ likelihood are the degrees of freedom, a scale of the covariances, and how the s
 grow with the network's own doubt of the attitude, the probability that its bins give to attitudes
 far from the most likely one, and with the squared share that is cut off. This is the analog of
 temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
-2017). The covariances are then those of the t distributions, not their scale matrices.
+2017). The covariances are then those of the t distributions, not their scale matrices. How they
+grow with the share that is cut off is found anew from the quantile of the errors of objects that
+lack much, as theirs are not quite so distributed.
 """
 
 from __future__ import annotations
@@ -34,7 +36,11 @@ from ffpose.config import SecondLookConfig, looks_twice
 from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
 from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
-from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
+from ffpose.evaluation.calibration import (
+    choose_threshold,
+    mixture_probability,
+    squared_mahalanobis,
+)
 from ffpose.geometry import FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import PolarPose, SecondLookNetwork
@@ -52,6 +58,15 @@ LEAST_DISTANCE = 1e-30
 
 STEPS = 300
 """Largest number of steps of the fit, which ends when the likelihood no longer changes."""
+
+MOSTLY_CUT = 0.35
+"""Share of the view that is cut off from which on an object lacks much."""
+
+LEAST_MOSTLY_CUT = 50
+"""Of fewer such objects the quantile tells less than the likelihood."""
+
+MOST_GROWTH = 100.0
+"""Of standard deviations with the squared share that is cut off."""
 
 LEAST_SLOPE = 0.5
 """A look that follows the true offset by less makes its noise more than twice as large to mend."""
@@ -131,10 +146,18 @@ def calibrate(
         for each, share in zip(sets, shares, strict=True)
     ]
     translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
-    tails = [
-        fit_tails(distances, 1 - modes[:, 0], np.concatenate(shares), probabilities)
-        for distances, probabilities in ((translation, None), (rotation, modes))
-    ]
+    cut = np.concatenate(shares)
+    mostly = cut >= MOSTLY_CUT
+    mostly[: len(shares[0])] = False  # whole in the frame, unlike the sphere about them
+    tails = []
+    one_mode = np.ones((len(cut), 1))
+    for distances, probabilities in ((translation[:, None], one_mode), (rotation, modes)):
+        errors = (distances, 1 - modes[:, 0], cut, probabilities)
+        fitted = fit_tails(*errors)
+        if mostly.sum() >= LEAST_MOSTLY_CUT:
+            growth = covering_growth(fitted, *(each[mostly] for each in errors))
+            fitted = fitted._replace(truncation_sigma=growth)
+        tails.append(fitted)
     scales, by_doubt, by_cut, degrees = zip(*tails, strict=True)
     return Calibration(
         factor,
@@ -251,6 +274,33 @@ def fit_tails(
     by_doubt, by_truncation = growths.tolist()
     nu = float(degrees)
     return Tails(math.exp(float(log_scale)) * nu / (nu - 2), by_doubt, by_truncation, nu)
+
+
+def covering_growth(
+    tails: Tails,
+    squared_distance: FloatArray,
+    doubt: FloatArray,
+    truncation: FloatArray,
+    probabilities: FloatArray,
+    level: float = 0.9,
+) -> float:
+    """Return the least growth with truncation at which regions of a level contain that share.
+
+    It is at most `MOST_GROWTH`. Arguments are those of `fit_tails`, distances and probabilities
+    ``(N, K)``, truncations above 0.
+    """
+    scale = tails.scale * (1 + tails.doubt_sigma * doubt) ** 2
+
+    def contained(growth: float) -> float:
+        d2 = squared_distance / (scale * (1 + growth * truncation**2) ** 2)[:, None]
+        regions = mixture_probability(d2, probabilities, tails.degrees_of_freedom)
+        return float((regions <= level).mean())
+
+    low, high = 0.0, MOST_GROWTH
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (low, middle) if contained(middle) >= level else (middle, high)
+    return high if low else 0.0
 
 
 def negative_log_likelihood(

@@ -18,17 +18,25 @@ EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS, DUSK_SEEDS = 500_000, 400_000, 3
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
 
 TRUNCATED_SHARE = (0.25, 0.9)
-"""Least and greatest share of a spacecraft that the border leaves."""
+"""Least and greatest share of a spacecraft that the border leaves, of those that are learned."""
+
+CALIBRATED_SHARE = (0.3, 0.6)
+"""The same of those that calibrate: of less than is cut off here, errors hardly depend."""
 
 RANDOMIZATION = 0.7
 """Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
-def varied(scene: Scene) -> dict[str, tuple[Scene, int]]:
-    """Return a set as it is and its variants, each with what is added to the set's seed."""
+def varied(
+    scene: Scene, visible: tuple[float, float] = TRUNCATED_SHARE
+) -> dict[str, tuple[Scene, int]]:
+    """Return a set as it is and its variants, each with what is added to the set's seed.
+
+    Of those that the border cuts it leaves a share within ``visible``.
+    """
     return {
         "whole": (scene, 0),
-        "cut": (scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS),
+        "cut": (scene.truncated(*visible), TRUNCATED_SEEDS),
         "randomized": (scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS),
         "dusk": (scene.at_dusk(), DUSK_SEEDS),
     }
@@ -92,7 +100,8 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         **({"object in randomized scenes": "randomized"} if config.randomized else {}),
         **({"object under a low sun": "dusk"} if config.dusk else {}),
     }
-    parts = {what: varied(scene)[kind] for what, kind in kinds.items()}
+    variants = varied(scene, CALIBRATED_SHARE)
+    parts = {what: variants[kind] for what, kind in kinds.items()}
     seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}
     whole, *hard = (
         open_frames(config.root, part, seeds[what], count, preprocessing, workers=config.workers)

@@ -33,7 +33,7 @@ class CalibrationImages:
             trained on, and what is below of it as in that training.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
-        cut: For kind "scenes": objects that the border cuts too.
+        cut: For kind "scenes": objects of which the border leaves 30 to 60 % too.
         randomized: For kind "scenes": domain randomization of light, materials and backgrounds too.
         dusk: For kind "scenes": the light of a low sun over dark ground too.
         distance: For kind "scenes": factors on the least and the greatest distance of the set.
