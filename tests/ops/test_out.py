@@ -67,13 +67,24 @@ def test_a_strided_input_is_read_before_it_is_written_over():
     assert torch.equal(spectral_filter(x.T, weight, out=x), expected)
 
 
-def test_autograd_sees_that_a_tensor_was_written_over():
+@pytest.mark.parametrize("mode", [torch.enable_grad, torch.no_grad, torch.inference_mode])
+def test_autograd_sees_that_a_tensor_was_written_over(mode):
     x, weight = arguments("tokens", (4, 6))
     factor = torch.ones_like(x, requires_grad=True)
     product = factor * x  # autograd keeps x
-    spectral_filter(x, weight, out=x)
+    before = x._version
+    with mode():
+        spectral_filter(x, weight, out=x)
+    assert x._version == before + 1
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         product.sum().backward()
+
+
+def test_tensors_of_inference_mode_are_written_too():
+    with torch.inference_mode():
+        x, weight = arguments("tokens", (4, 6))
+        expected = spectral_filter(x, weight)
+        assert torch.equal(spectral_filter(x, weight, out=x), expected)
 
 
 def test_no_gradient_is_lost_in_silence():

@@ -23,7 +23,6 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd import Function
-from torch.autograd.graph import increment_version
 
 from ffpose._internal.torch_internals import (
     below_autograd,
@@ -296,7 +295,6 @@ def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor)
             " call it without out"
         )
     below_autograd(out_op, x, weight, layout, out=out)
-    increment_version(out)
 
 
 torch.library.impl(FORWARD, "Autograd", _record_forward)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
+from torch.autograd.graph import increment_version
 
 from ffpose import _rust
 from ffpose.ops.fourier import filter_backward_by_fft, filter_by_fft
@@ -68,6 +69,7 @@ def forward_rust(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor | Non
 def _out_cpu(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
     check_out(x, out)
     forward_rust(x, weight, layout, out=out)
+    increment_version(out)  # here, as inference mode skips autograd's kernel
 
 
 def _out_elsewhere(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
