@@ -121,7 +121,8 @@ class PolarBinsHead(nn.Module):
         second = self._mean_near_mode(logits.masked_fill(~away, -math.inf))
         p = logits.softmax(-1)
         near = (self._within(first, MODE_DEG), self._within(second, MODE_DEG) & away)
-        return Modes(first, second, torch.stack([(p * each).sum(-1) for each in near], dim=1))
+        sums = torch.stack([(p * each).sum(-1) for each in near], dim=1)
+        return Modes(first, second, sums.clamp(max=1))  # those of float32 may round to more
 
     def _within(self, q: Tensor, degrees: float) -> Tensor:
         """Return which bins ``(B, bins)`` are closer to ``q (B, 4)`` than an angle."""
