@@ -18,7 +18,7 @@ from ffpose.geometry import Camera, Pose
 from ffpose.imaging.overlay import TRUTH_COLORS, draw_axes
 from ffpose.inference.load import load
 from ffpose.render import find_scene, label, write_dataset
-from ffpose.render.variations import ALL_ATTITUDES
+from ffpose.render.scene import ALL_ATTITUDES
 
 SHIPPED, SCENE, SEED, SIZE = "soyuz", "soyuz_easy", CHOICES.start, (512, 384)
 AXIS_M = 2.0

@@ -16,6 +16,9 @@ ORBIT_ECLIPSE_RATE = 0.34
 inclination: 39 % of an orbit when the sun lies in its plane, 34 % in the mean over the year."""
 
 
+ALL_ATTITUDES = (180.0, 90.0, 180.0)
+"""Greatest absolute roll, pitch and yaw, degrees."""
+
 Renderer = Literal["ffpose", "mitsuba"]
 """What renders the spacecraft: `ffpose.render.shading`, or `ffpose.render.mitsuba`."""
 
@@ -90,7 +93,7 @@ class Scene:
         least, most = self.distance_m
         expect(0 < least <= most, "distance_m", "0 < least <= most", self.distance_m)
         expect(self.lateral_m >= 0, "lateral_m", "at least 0", self.lateral_m)
-        angles, limits = self.attitude_range_deg, (180.0, 90.0, 180.0)
+        angles, limits = self.attitude_range_deg, ALL_ATTITUDES
         within = len(angles) == 3 and all(
             0 <= angle <= limit for angle, limit in zip(angles, limits, strict=True)
         )

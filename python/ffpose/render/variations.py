@@ -28,8 +28,6 @@ from ffpose.render.shading.sensor import Sensor
 
 Bytes = NDArray[np.uint8]
 
-ALL_ATTITUDES = (180.0, 90.0, 180.0)
-
 CUT = (0.3, 0.6)
 """Least and greatest share of the spacecraft that the border leaves."""
 
@@ -71,11 +69,10 @@ class Variation:
 def variations(
     scene: Scene, farthest_m: float, *, second_renderer: bool = False
 ) -> list[Variation]:
-    """The set over all attitudes, and sets that differ from it in one thing.
+    """The set, and sets that differ from it in one thing.
 
     Training went as far as ``farthest_m``; with ``second_renderer`` one has Mitsuba's pictures.
     """
-    scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     least, most = CUT
     beyond = BEYOND * farthest_m
     lateral = scene.lateral_m * beyond / scene.distance_m[1]
@@ -87,7 +84,7 @@ def variations(
         replace(scene, renderer="mitsuba"),
     )
     return [
-        Variation("as trained", "the set's own scenes, all attitudes", scene),
+        Variation("as trained", "the set's own scenes", scene),
         Variation(
             "noise doubled",
             "shot noise and read noise of twice the standard deviation",
@@ -118,7 +115,6 @@ def variations(
 
 def without_object(scene: Scene) -> list[Variation]:
     """The set without the spacecraft, and with another one in its place."""
-    scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     other = "soyuz" if scene.build().name == "dragon" else "dragon"
     return [
         Variation("empty scenes", "Earth, stars and sun alone", scene, empty=True),

@@ -48,6 +48,17 @@ def test_plain_scenes_are_seen_as_trained_and_by_augmentation(tmp_path):
     assert found["noise doubled"].how == "augmentation: Gaussian noise"
 
 
+def test_attitudes_beyond_those_of_the_training_are_not_seen(tmp_path):
+    fields = {"attitude_range_deg": (180.0, 20.0, 30.0), "cut": 900, "randomized": 900}
+    found = conditions(recipe_of(tmp_path, **fields))
+    limits = "attitudes within 180, 20, 30 degrees"
+    for name in ("as trained", "cut by the border", "randomize 0.5"):
+        assert found[name] == Seen("partly", limits)
+    assert found["noise doubled"] == Seen("partly", f"augmentation: Gaussian noise, {limits}")
+    assert found["empty scenes"].answer == "yes"
+    assert found["beyond range"].answer == "no"
+
+
 @pytest.mark.parametrize(
     ("field", "name"), [("cut", "cut by the border"), ("randomized", "randomize 0.5")]
 )

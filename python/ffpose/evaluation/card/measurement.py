@@ -12,7 +12,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -40,6 +40,7 @@ from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
 from ffpose.render import SCENES, Scene, find_scene
 from ffpose.render.renderer import camera_of
+from ffpose.render.scene import ALL_ATTITUDES
 
 if TYPE_CHECKING:
     from ffpose.render.variations import Variation
@@ -124,7 +125,7 @@ def measure(
 
     Args:
         weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
-        scene: The set of scenes, or its name; its attitudes are widened to all.
+        scene: The set of scenes, or its name; a built-in set's attitudes are widened to all.
         count: Number of images per condition.
         size: ``(width, height)`` of the images before preprocessing.
         seed: Seed of the scenes, one of `ffpose._internal.seeds.CHOICES`.
@@ -156,6 +157,9 @@ def measure(
     if second_renderer:
         require("mitsuba", "mitsuba")
     scene = find_scene(scene)
+    parameters = _parameters(scene)
+    if parameters is None:
+        scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     identity = {
         "sha256": sha256(find_source(weights).path),
         "ffpose": __version__,
@@ -165,7 +169,7 @@ def measure(
         "seed": seed,
         "final": final,
         "notes": [] if second_renderer else [ONE_RENDERER],
-        "scene_parameters": _parameters(scene),
+        "scene_parameters": parameters,
     }
     if out is not None and (out / "card.json").exists():
         kept: dict[str, Any] = read_json(out / "card.json")

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import astuple
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from ffpose.render.scene import SCENES, Scene
+from ffpose.render.scene import ALL_ATTITUDES, SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
 from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
 
@@ -93,7 +93,19 @@ def _over_all(recipe: Recipe | None, had: Any) -> Seen:
 
 
 def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:
-    """Return whether one training had a set."""
+    """Return whether one training had a set, with all its attitudes."""
+    found = _had_the_like(recipe, variation, sets)
+    asked = variation.scene.attitude_range_deg
+    reach = recipe["data"].get("attitude_range_deg", ALL_ATTITUDES)
+    within = all(most <= had for most, had in zip(asked, reach, strict=True))
+    if within or variation.empty or found.answer not in ("yes", "partly"):
+        return found
+    limits = f"attitudes within {', '.join(f'{angle:g}' for angle in reach)} degrees"
+    return Seen("partly", f"{found.how}, {limits}" if found.how else limits)
+
+
+def _had_the_like(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:
+    """Return whether one training had a set, of whatever attitudes."""
     data, views, scene = recipe["data"], recipe["views"], variation.scene
     names = data["scene"].split("+")
     if data["kind"] != "scenes" or not sets.keys() >= set(names):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ffpose.render.scene import ALL_ATTITUDES
+
 Row = Mapping[str, Any]
 
 NONE = "–"
@@ -19,7 +21,8 @@ def format_card(document: Mapping[str, Any]) -> str:
         f"{card_name(document)} (SHA-256 of the weights {document['sha256'][:12]}…): "
         f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}"
         f"{' (final)' if document['final'] else ''}, "
-        f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
+        f"{near:g} to {far:g} m, {_attitudes(document.get('scene_parameters', {}))};"
+        f" ffpose {document['ffpose']}."
     )
     parts = [head, errors_table(document)]
     if any("rotation" in row for row in document["conditions"]):
@@ -29,6 +32,14 @@ def format_card(document: Mapping[str, Any]) -> str:
     if symmetry := document.get("symmetry"):
         parts.append(f"Rotation errors are to the nearest attitude of the same look: {symmetry}.")
     return "\n\n".join([*parts, *document["notes"]]) + "\n"
+
+
+def _attitudes(own: Mapping[str, Any]) -> str:
+    """Say what a set's attitudes are; those without parameters of their own have all."""
+    limits = own.get("attitude_range_deg", ALL_ATTITUDES)
+    if tuple(limits) == ALL_ATTITUDES:
+        return "all attitudes"
+    return f"roll, pitch, yaw within {', '.join(f'{angle:g}' for angle in limits)} degrees"
 
 
 def card_name(card: Mapping[str, Any]) -> str:
