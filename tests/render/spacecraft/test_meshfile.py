@@ -8,6 +8,7 @@ import trimesh
 
 from ffpose.errors import DataError
 from ffpose.render import Scene, load_craft, render, render_layers, write_dataset
+from ffpose.render.spacecraft.craft import surface_points
 
 SIZE = (160, 120)
 
@@ -50,6 +51,26 @@ def test_color_is_kept(brick):
     red, green, blue = frame.image[layers.mask].mean(axis=0)
     assert red > 2 * green
     assert red > 2 * blue
+
+
+def test_points_stand_for_as_much_of_the_surface_however_fine_its_triangles_are(tmp_path):
+    """A body of 20,000 triangles, and two wings of twelve each, as CAD programs export them."""
+    body = trimesh.creation.icosphere(subdivisions=5, radius=1.0)
+    wings = [trimesh.creation.box((2.0, 0.01, 4.0)) for _ in range(2)]
+    for wing, side in zip(wings, (-4.0, 4.0), strict=True):
+        wing.apply_translation((side, 0.0, 0.0))
+    path = tmp_path / "craft.stl"
+    trimesh.util.concatenate([body, *wings]).export(path)
+    craft = load_craft(path)
+    points = surface_points(craft.mesh.vertices[craft.mesh.faces])
+    of_wings = np.abs(points[:, 0]) > 2
+    share = 2 * wings[0].area / (2 * wings[0].area + body.area)
+    assert of_wings.mean() == pytest.approx(share, abs=0.01)
+    np.testing.assert_allclose(np.linalg.norm(points[~of_wings], axis=1), 1.0, atol=2e-3)
+    quarters = np.histogram2d(points[points[:, 0] > 2, 0], points[points[:, 0] > 2, 2], (2, 2))[0]
+    assert quarters.min() > 0.8 * quarters.max()
+    ends = np.abs(craft.outline[np.abs(craft.outline[:, 0]) == 5])  # those of the wings
+    np.testing.assert_allclose(ends.max(axis=0), (5, 0.005, 2), rtol=1e-6)
 
 
 def test_the_radius_reaches_to_the_end_of_a_boom(tmp_path):

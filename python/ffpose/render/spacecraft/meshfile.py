@@ -23,7 +23,7 @@ from ffpose.render.spacecraft.trimeshparts import read_trimesh
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf")
 MAX_FACES = 2_000_000
 
-READING = 3
+READING = 4
 """Version of how files are read; images of a file that was read otherwise are rendered again."""
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -92,7 +92,9 @@ def load_craft(
     digest = assets.digest(content)
     changes = [f"scale:{scale!r}", f"up:{up}", f"reading:{READING}"]
     changes += ["centered"] * center + ["two-sided"] * two_sided
-    return Craft(f"{source.name} sha256:{digest} {' '.join(changes)}", mesh, materials)
+    return Craft(
+        f"{source.name} sha256:{digest} {' '.join(changes)}", mesh, materials, is_even=False
+    )
 
 
 def _raised(up: Up) -> FloatArray:
