@@ -72,9 +72,10 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     return model.SerializeToString()
 
 
-def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, **fields):
+def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, rotation=None, **fields):
     """The bytes of a graph that tells a position by the level of its input, of this variance, m².
 
+    ``rotation`` is the variance of its orientation, rad², the same number where there is none.
     A level above 180 shows no object, one above ``turned``, if any, one that is half a turn about
     its z axis farther. ``rounds`` of products of matrices make it slow; without
     ``sure`` it tells a pose alone; ``fields`` are of its metadata.
@@ -87,7 +88,7 @@ def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, **fiel
         "alternative": np.array([[0, 1, 0, 0]], np.float32),
         "probabilities": np.array([[1, 0]], np.float32),
         "translation_covariance": np.float32(variance) * eye,
-        "rotation_covariance": np.float32(variance) * eye,
+        "rotation_covariance": np.float32(rotation or variance) * eye,
     }
     tensors = {
         "axes": np.array([2, 3]),

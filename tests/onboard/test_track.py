@@ -7,6 +7,8 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from threading import Event, Thread
+from time import perf_counter
 from typing import ClassVar
 
 import numpy as np
@@ -104,7 +106,7 @@ def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
     first = run(models, "--track", "--state", state, lines=lines[:6])[1]
     second = run(models, "--track", "--state", state, lines=lines[6:])[1]
     assert [*first, *second] == whole
-    assert [path.name for path in tmp_path.glob("track.*")] == ["track.state"]
+    assert {path.name for path in tmp_path.glob("*track.*")} == {"track.state", "x.track.onnx"}
     step = Tracker.from_state(state.read_bytes(), models.read_bytes()).step(9, None)
     assert step.outcome == "coasted"
     code, documents, (error,) = run(
@@ -360,8 +362,14 @@ def test_errors_for_c_are_codes_and_sentences(call, models, frames, tmp_path):
     other.write_bytes(gray(96, 96, 100))
     empty = tmp_path / "empty.pgm"
     empty.write_bytes(gray(0, 0, 0))
-    _, rows, _ = call(models, [other, frames[0], empty, "nowhere.pgm"])
-    assert [row[0] for row in rows] == ["2", "0", "2", "3"]
+    of_16_bits, of_7_bits = tmp_path / "16.pgm", tmp_path / "7.pgm"
+    of_16_bits.write_bytes(b"P5 128 96 65535\n" + bytes(2 * 128 * 96))
+    of_7_bits.write_bytes(b"P5 128 96 127\n" + bytes(128 * 96))
+    images = [other, frames[0], empty, "nowhere.pgm", of_16_bits, of_7_bits]
+    code, rows, errors = call(models, images, state="/nowhere/at/all/x.state")
+    assert code == 1
+    assert "x.state: cannot be written" in errors
+    assert [row[0] for row in rows] == ["2", "0", "2", "3", "3", "3"]
     assert "96x96" in " ".join(rows[0])
     assert "at most 89478485" in " ".join(rows[2])
 
@@ -429,9 +437,24 @@ def ask(library, handle, levels, seconds=0.0, **fields):
     image = Pixels(levels.ctypes.data, width, height, 1, 0)
     for name, value in fields.items():
         setattr(image, name, value)
-    pose = (ctypes.c_double * 40)()
+    pose = Told()
     code = library.ffpose_pose(handle, ctypes.byref(image), seconds, ctypes.byref(pose))
-    return code, list(pose)
+    return code, [np.array(numbers(getattr(pose, name))).tolist() for name, *_ in Told._fields_]
+
+
+class Told(ctypes.Structure):
+    """ffpose_pose_result."""
+
+    _fields_: ClassVar = [
+        ("translation_m", ctypes.c_double * 3),
+        ("orientation_wxyz", ctypes.c_double * 4),
+        ("translation_covariance_m2", ctypes.c_double * 3 * 3),
+        ("rotation_covariance_rad2", ctypes.c_double * 3 * 3),
+        ("alternative_wxyz", ctypes.c_double * 4),
+        ("probabilities", ctypes.c_double * 2),
+        ("in_view", ctypes.c_double),
+        ("is_flagged", ctypes.c_int32),
+    ]
 
 
 class Motion(ctypes.Structure):
@@ -440,9 +463,131 @@ class Motion(ctypes.Structure):
     _fields_: ClassVar = [
         ("time", ctypes.c_double),
         *((name, ctypes.c_int32) for name in ("outcome", "has_track", "is_accepted")),
-        ("position", ctypes.c_double * 3),
-        ("rest", ctypes.c_double * (4 + 3 + 3 + 144 + 1)),
+        ("translation_m", ctypes.c_double * 3),
+        ("orientation_wxyz", ctypes.c_double * 4),
+        ("velocity_m_s", ctypes.c_double * 3),
+        ("angular_velocity_deg_s", ctypes.c_double * 3),
+        ("covariance", ctypes.c_double * 12 * 12),
+        ("nis", ctypes.c_double),
     ]
+
+
+def numbers(value):
+    return np.ctypeslib.as_array(value) if isinstance(value, ctypes.Array) else value
+
+
+def test_all_that_the_program_says_is_told_in_c(library, opened, run, frames, tmp_path):
+    path = tmp_path / "x.onnx"
+    path.write_bytes(sealed(steady(1e-3, rotation=2e-3)))
+    poses = run(path, "--stdin", lines=frames)[1]
+    motions = run(path, "--track", lines=lines_of(frames))[1]
+    names = ["accepted", "switched", "gated", "coasted", "flagged", "acquiring", "lost"]
+    _, handle = opened(model=bytes(path))
+    for place, frame in enumerate(frames):
+        levels = np.frombuffer(frame.read_bytes()[-128 * 96 :], np.uint8).reshape(96, 128)
+        image = Pixels(levels.ctypes.data, 128, 96, 1, 0)
+        told, document = Told(), poses[place]
+        assert library.ffpose_pose(handle, ctypes.byref(image), 0.0, ctypes.byref(told)) == 0
+        assert told.is_flagged == document["flagged"]
+        for name, *_ in Told._fields_[:-1]:
+            np.testing.assert_array_equal(numbers(getattr(told, name)), document[name])
+        (code, outcome, motion), document = (
+            move(library, handle, levels, (place + 1) / 2),
+            motions[place],
+        )
+        assert (code, names[outcome], motion.time) == (0, document["reason"], document["time"])
+        assert motion.is_accepted == document["accepted"]
+        assert motion.has_track == ("translation_m" in document)
+        for name, *_ in Motion._fields_[4:]:
+            wanted = document.get(name)
+            wanted = np.nan if wanted is None else wanted
+            np.testing.assert_array_equal(numbers(getattr(motion, name)), wanted)
+    assert {each["reason"] for each in motions} == {"acquiring", "accepted", "flagged"}
+
+
+def test_a_late_frame_is_one_that_never_came(library, opened, tmp_path):
+    """Late at once, or where the run is ended."""
+    path = tmp_path / "slow.onnx"
+    path.write_bytes(sealed(steady(1e-3, rounds=10)))
+    handles = [opened(model=bytes(path))[1] for _ in range(3)]
+    levels, told = np.full((96, 128), 100, np.uint8), []
+    for handle, image, seconds in zip(handles, (levels, levels, None), (-1, 0.003, 0), strict=True):
+        for time in (1, 2, 3, 4):
+            assert move(library, handle, levels + np.uint8(time), time)[0] == 0
+        code, outcome, motion = move(library, handle, image, 5.0, seconds)
+        assert (code, outcome, motion.has_track) == (0 if image is None else 1, 3, 1)
+        told.append([np.array(numbers(getattr(motion, name))) for name, *_ in Motion._fields_])
+    for name, *values in zip(Motion._fields_, *told, strict=True):
+        for value in values[1:]:
+            np.testing.assert_array_equal(value, values[0], err_msg=name[0])
+    assert motion.time == 5
+    assert motion.translation_m[0] > (levels[0, 0] + 4) / 255  # it moved on
+
+
+def test_a_run_is_ended_at_its_limit(library, opened, tmp_path):
+    """Not waited for: the answer would come many times as late."""
+    path = tmp_path / "slow.onnx"
+    path.write_bytes(sealed(steady(1e-3, rounds=60)))
+    _, handle = opened(model=bytes(path))
+    levels = np.full((96, 128), 100, np.uint8)
+
+    def took(seconds, code):
+        began = perf_counter()
+        assert ask(library, handle, levels, seconds)[0] == code
+        return perf_counter() - began
+
+    whole = max(took(0, 0) for _ in range(3))
+    assert min(took(whole / 50, 1) for _ in range(3)) < whole / 2
+
+
+def test_a_closed_handle_and_one_in_another_call_are_errors(library, opened, tmp_path):
+    path = tmp_path / "slow.onnx"
+    path.write_bytes(sealed(steady(1e-3, rounds=60)))
+    _, handle = opened(model=bytes(path))
+    levels = np.full((96, 128), 100, np.uint8)
+    expected = b"handle: expected one that is open and in no other call, got one "
+    done = Event()
+
+    def work():
+        while not done.is_set():  # a pose is refused, too, where the other thread rests in a call
+            ask(library, handle, levels)
+
+    works = Thread(target=work)
+    works.start()
+    began = perf_counter()
+    while library.ffpose_reset(handle) != 2 and perf_counter() - began < 60:
+        pass
+    assert library.ffpose_error() == expected + b"in a call of another thread"
+    done.set()
+    works.join()
+    assert ask(library, handle, levels)[0] == 0
+    for _ in range(2):
+        library.ffpose_close(handle)
+        assert ask(library, handle, levels)[0] == 2
+        assert library.ffpose_error() == expected + b"that is closed, or none of ffpose_open"
+    assert library.ffpose_save(ctypes.c_void_p(12345), b"x.state") == 2
+
+
+def test_addresses_that_no_value_has_are_refused(library, opened):
+    _, handle = opened()
+    buffer = ctypes.create_string_buffer(ctypes.sizeof(Motion) + 16)
+    place = (ctypes.addressof(buffer) + 7) // 8 * 8 + 1
+    assert library.ffpose_track(handle, 1.0, None, 0.0, ctypes.c_void_p(place)) == 2
+    told = f"motion: expected an address that is a multiple of 8, got {place:#x}"
+    assert library.ffpose_error() == told.encode()
+    assert (
+        library.ffpose_track(handle, 1.0, ctypes.c_void_p(place), 0.0, ctypes.byref(Motion())) == 2
+    )
+    assert library.ffpose_error().startswith(b"image: expected an address that is a multiple of 8")
+
+
+def test_text_for_c_is_as_it_should_be(library, opened):
+    _, handle = opened()
+    for function in (library.ffpose_save, library.ffpose_restore):
+        assert function(handle, b"/nowhere/\xff.state") == 2
+        assert library.ffpose_error().startswith(b"path: expected UTF-8, got")
+    assert opened(sha256=b"12ab")[0] == 2
+    assert library.ffpose_error() == b"settings.sha256: expected 64 hexadecimal digits, got 12ab"
 
 
 def move(library, handle, levels, time, seconds=0.0):
@@ -596,7 +741,7 @@ def test_a_state_of_any_name_is_renamed_from_one_of_its_own(library, opened, tmp
     _, handle = opened()
     folder = tmp_path / "states"
     folder.mkdir()
-    names = ["a.state", "a.1", "a.new"]
+    names = ["a.state", "a.1", "a.new", "a"]
     for name in names:
         assert library.ffpose_save(handle, bytes(folder / name)) == 0
         before = (folder / name).stat().st_ino
@@ -604,5 +749,5 @@ def test_a_state_of_any_name_is_renamed_from_one_of_its_own(library, opened, tmp
         assert (folder / name).stat().st_ino != before  # another file, that was whole before
     assert {path.name for path in folder.iterdir()} == set(names)
     assert library.ffpose_save(handle, bytes(folder)) == 2  # no file can take its place
-    assert [path.name for path in tmp_path.glob("states*")] == ["states"]
+    assert [path.name for path in tmp_path.glob("*states*")] == ["states"]
     assert library.ffpose_restore(handle, bytes(folder / "a.new")) == 0

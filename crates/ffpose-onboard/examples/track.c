@@ -4,6 +4,7 @@
  *
  * OPERATORS and STATE may be "-"; a FRAME "-" never came. SECONDS 0 is no deadline.
  */
+#include <ctype.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,7 +19,8 @@ static ffpose_image read_pgm(const char *path) {
   ffpose_image image = {.channels = 1};
   FILE *file = fopen(path, "rb");
   if (!file) return image;
-  if (fscanf(file, "P5 %u %u 255", &image.width, &image.height) == 2 && fgetc(file) != EOF) {
+  unsigned white = 0;
+  if (fscanf(file, "P5 %u %u %u", &image.width, &image.height, &white) == 3 && white == 255 && isspace(fgetc(file))) {
     size_t size = (size_t)image.width * image.height;
     uint8_t *pixels = malloc(size);
     if (pixels && fread(pixels, 1, size, file) == size)
@@ -57,7 +59,8 @@ int main(int count, char **words) {
     else
       printf("%d %s\n", code, ffpose_error());
   }
-  if (state && ffpose_save(handle, state) != FFPOSE_OK) fprintf(stderr, "%s\n", ffpose_error());
+  int saved = !state || ffpose_save(handle, state) == FFPOSE_OK;
+  if (!saved) fprintf(stderr, "%s\n", ffpose_error());
   ffpose_close(handle);
-  return 0;
+  return saved ? 0 : 1;
 }

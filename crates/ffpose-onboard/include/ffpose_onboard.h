@@ -1,10 +1,11 @@
 /* Poses and tracks of a spacecraft for flight software: libffpose_onboard.
  *
  * Frames: the camera's (x right, y down, z forward; meters) and the object's; p_camera = R(q) p_object + t. Quaternions are
- * (w, x, y, z) of norm 1. A handle is used by one thread at a time; handles are independent, but the first one opened
- * chooses ONNX Runtime's library for the process.
+ * (w, x, y, z) of norm 1. A handle is used by one thread at a time: a call during another's, or of a handle that is closed, is
+ * FFPOSE_FAILED; handles are independent, but the first one opened chooses ONNX Runtime's library for the process.
  *
- * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence. Nothing is thrown.
+ * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence, in which options of the
+ * program (--camera, --operators, ...) stand for the fields of their names. Nothing is thrown.
  * Nothing is printed but where a panic was, on standard error. Nothing ends the process but a lack of memory. Paths are UTF-8.
  */
 #ifndef FFPOSE_ONBOARD_H
@@ -91,10 +92,11 @@ int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
  * graph. FFPOSE_OK means within the limit: an answer that comes after it is dropped, and the code is FFPOSE_LATE. */
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
-/* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the
- * whole frame is searched without a track. A null image is a frame that never came. Where no track leads, a time that is earlier by
- * more than the setting `coasting` begins anew: one wrong time costs a track no more than a gap. A model
- * without uncertainty has poses alone: FFPOSE_FAILED. */
+/* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected. The whole frame is
+ * searched, which takes about twice as long, without a track and after any frame that did not correct it: late, null, flagged or gated.
+ * With a limit too short for that, every later frame is late too: give the next one more. A null image is a frame that never came.
+ * Where no track leads, a time that is earlier by more than the setting `coasting` begins anew: of a finite one, a wrong time costs a
+ * track no more than a gap; ffpose_reset does so at once. A model without uncertainty has poses alone: FFPOSE_FAILED. */
 int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, double seconds, ffpose_motion *motion);
 
 /* Forgets the track and the times of its frames, as after ffpose_open: where a clock was set back, or the target is another one. */
@@ -108,7 +110,7 @@ int32_t ffpose_restore(ffpose *handle, const char *path);
 /* The thread's last error; valid until its next call. Empty in destructors of the thread that run after the library's own. */
 const char *ffpose_error(void);
 
-void ffpose_close(ffpose *handle); /* null is none */
+void ffpose_close(ffpose *handle); /* null is none, nor is one that is closed already */
 
 #ifdef __cplusplus
 }

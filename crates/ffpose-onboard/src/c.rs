@@ -4,17 +4,21 @@
 #![allow(unsafe_code)]
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::ptr::without_provenance_mut;
 use std::slice;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
 use ffpose_track::{Outcome, Step};
 
 use crate::error::Error;
 use crate::estimator::{Deadline, Estimator, Look};
-use crate::options::{MAX_THREADS, Setup, Taken, default_runtime};
+use crate::options::{MAX_THREADS, Setup, Taken, default_runtime, digest};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
 use crate::track::{Seen, Track};
@@ -80,11 +84,19 @@ pub struct FfposeMotion {
     nis: f64,
 }
 
+/// What a handle points to: nothing, as its address is a number that is given once.
+pub struct Ffpose;
+
 /// A model that is open, and its track.
-pub struct Ffpose {
+struct Opened {
     estimator: Estimator,
     track: Track,
 }
+
+/// What is open, by its handle's number.
+static OPENED: Mutex<BTreeMap<usize, Arc<Mutex<Opened>>>> = Mutex::new(BTreeMap::new());
+
+static NEXT: AtomicUsize = AtomicUsize::new(1);
 
 /// Why a function does not do what it says.
 enum Fault {
@@ -119,9 +131,40 @@ pub extern "C" fn ffpose_error() -> *const c_char {
     LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }
 
-fn expect_pointers<const N: usize>(pointers: [(&'static str, bool); N]) -> Result<(), Fault> {
-    let missing = pointers.into_iter().find(|(_, is_null)| *is_null);
-    missing.map_or(Ok(()), |(name, _)| Err(Fault::Null(name)))
+/// Refuses a pointer that is null, or that no value of its type may have.
+fn expect_pointer<T>(name: &'static str, pointer: *const T) -> Result<(), Fault> {
+    if pointer.is_null() {
+        return Err(Fault::Null(name));
+    }
+    if pointer.is_aligned() {
+        return Ok(());
+    }
+    let (multiple, got) = (align_of::<T>(), pointer.addr());
+    let error =
+        format!("{name}: expected an address that is a multiple of {multiple}, got {got:#x}");
+    Err(Error::new(error).into())
+}
+
+/// Runs what a function does with an open handle.
+fn with<T>(
+    handle: *const Ffpose,
+    run: impl FnOnce(&mut Opened) -> Result<T, Fault>,
+) -> Result<T, Fault> {
+    expect_pointer("handle", handle)?;
+    let opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner).get(&handle.addr()).cloned();
+    let refused = |got| {
+        Fault::Failed(Error::new(format!(
+            "handle: expected one that is open and in no other call, got {got}"
+        )))
+    };
+    let opened = opened.ok_or_else(|| refused("one that is closed, or none of ffpose_open"))?;
+    let mut opened = opened.try_lock().map_err(|error| {
+        refused(match error {
+            TryLockError::WouldBlock => "one in a call of another thread",
+            TryLockError::Poisoned(_) => "one whose call ended in a panic: close it",
+        })
+    })?;
+    run(&mut opened)
 }
 
 /// Opens a model, and a track of its poses.
@@ -134,37 +177,35 @@ pub unsafe extern "C" fn ffpose_open(
     handle: *mut *mut Ffpose,
 ) -> i32 {
     guarded(|| {
-        expect_pointers([("settings", settings.is_null()), ("handle", handle.is_null())])?;
-        // SAFETY: not null, and valid as the caller says, with its strings.
+        expect_pointer("settings", settings)?;
+        expect_pointer("handle", handle)?;
+        // SAFETY: not null, aligned, and valid as the caller says, with its strings.
         let (setup, settings) = unsafe { setup(&*settings) }?;
         let estimator = Estimator::open(&setup)?;
         let track = Track::new(&estimator, settings.as_deref())?;
-        let opened = Box::into_raw(Box::new(Ffpose { estimator, track }));
-        // SAFETY: not null, and valid for a write as the caller says.
-        unsafe { handle.write(opened) };
+        let opened = Arc::new(Mutex::new(Opened { estimator, track }));
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        OPENED.lock().unwrap_or_else(PoisonError::into_inner).insert(number, opened);
+        // SAFETY: not null, aligned, and valid for a write as the caller says.
+        unsafe { handle.write(without_provenance_mut(number)) };
         Ok(OK)
     })
 }
 
-/// Frees a handle; null is none.
-///
-/// # Safety
-/// `handle` is null or of `ffpose_open`, and is not used again.
+/// Frees a handle; null is none, nor is one that is closed.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ffpose_close(handle: *mut Ffpose) {
-    if !handle.is_null() {
-        guarded(|| {
-            // SAFETY: made by `Box::into_raw` in `ffpose_open`, and closed once as the caller says.
-            drop(unsafe { Box::from_raw(handle) });
-            Ok(OK)
-        });
-    }
+pub extern "C" fn ffpose_close(handle: *mut Ffpose) {
+    guarded(|| {
+        let opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner).remove(&handle.addr());
+        drop(opened); // or at the end of the call that another thread is in
+        Ok(OK)
+    });
 }
 
 /// Poses one image.
 ///
 /// # Safety
-/// The pointers are null or valid; the image's pixels are there; no other thread uses the handle.
+/// `image` and `pose` are null or valid; the image's pixels are there.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_pose(
     handle: *mut Ffpose,
@@ -173,28 +214,30 @@ pub unsafe extern "C" fn ffpose_pose(
     pose: *mut FfposePose,
 ) -> i32 {
     guarded(|| {
-        let nulls = [handle.is_null(), image.is_null(), pose.is_null()];
-        expect_pointers([("handle", nulls[0]), ("image", nulls[1]), ("pose", nulls[2])])?;
-        let deadline = deadline(seconds)?;
-        if deadline.is_past() {
-            return Ok(LATE);
-        }
-        // SAFETY: not null, and valid as the caller says.
-        let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
-        let Some(outputs) = handle.estimator.look(&picture, Look { at: None, deadline })? else {
-            return Ok(LATE);
-        };
-        let told = told(&outputs, &handle.estimator);
-        // SAFETY: not null, and valid for a write as the caller says.
-        unsafe { pose.write(told) };
-        Ok(OK)
+        with(handle, |Opened { estimator, .. }| {
+            expect_pointer("image", image)?;
+            expect_pointer("pose", pose)?;
+            let deadline = deadline(seconds)?;
+            if deadline.is_past() {
+                return Ok(LATE);
+            }
+            // SAFETY: not null, aligned, and valid as the caller says.
+            let picture = unsafe { picture(&*image) }?;
+            let Some(outputs) = estimator.look(&picture, Look { at: None, deadline })? else {
+                return Ok(LATE);
+            };
+            let told = told(&outputs, estimator);
+            // SAFETY: not null, aligned, and valid for a write as the caller says.
+            unsafe { pose.write(told) };
+            Ok(OK)
+        })
     })
 }
 
 /// Poses a frame and moves the track on; without an image, or where time runs out, the track coasts.
 ///
 /// # Safety
-/// As of `ffpose_pose`.
+/// As of `ffpose_pose`, with `motion` in the pose's place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_track(
     handle: *mut Ffpose,
@@ -204,55 +247,53 @@ pub unsafe extern "C" fn ffpose_track(
     motion: *mut FfposeMotion,
 ) -> i32 {
     guarded(|| {
-        expect_pointers([("handle", handle.is_null()), ("motion", motion.is_null())])?;
-        let deadline = deadline(seconds)?;
-        // SAFETY: not null, and valid as the caller says.
-        let Ffpose { estimator, track } = unsafe { &mut *handle };
-        estimator.expect_uncertainty()?;
-        let outputs = if image.is_null() || deadline.is_past() {
-            None
-        } else {
-            // SAFETY: as above.
-            let picture = unsafe { picture(&*image) }?;
-            estimator.look(&picture, Look { at: track.expected(time), deadline })?
-        };
-        let meaning = estimator.meaning();
-        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
-        let (step, reason) = track.step(time, seen.as_ref())?;
-        let told = moved(time, &step, reason);
-        // SAFETY: not null, and valid for a write as the caller says.
-        unsafe { motion.write(told) };
-        Ok(if outputs.is_none() && !image.is_null() { LATE } else { OK })
+        with(handle, |Opened { estimator, track }| {
+            expect_pointer("motion", motion)?;
+            let deadline = deadline(seconds)?;
+            estimator.expect_uncertainty()?;
+            let outputs = if image.is_null() || deadline.is_past() {
+                None
+            } else {
+                expect_pointer("image", image)?;
+                // SAFETY: not null, aligned, and valid as the caller says.
+                let picture = unsafe { picture(&*image) }?;
+                estimator.look(&picture, Look { at: track.expected(time), deadline })?
+            };
+            let meaning = estimator.meaning();
+            let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
+            let (step, reason) = track.step(time, seen.as_ref())?;
+            let told = moved(time, &step, reason);
+            // SAFETY: not null, aligned, and valid for a write as the caller says.
+            unsafe { motion.write(told) };
+            Ok(if outputs.is_none() && !image.is_null() { LATE } else { OK })
+        })
     })
 }
 
 /// Forgets the track, and the times of its frames.
-///
-/// # Safety
-/// As of `ffpose_pose`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
+pub extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
     guarded(|| {
-        expect_pointers([("handle", handle.is_null())])?;
-        // SAFETY: not null, and valid as the caller says.
-        unsafe { &mut *handle }.track.reset();
-        Ok(OK)
+        with(handle, |opened| {
+            opened.track.reset();
+            Ok(OK)
+        })
     })
 }
 
 /// Writes the track to a file.
 ///
 /// # Safety
-/// `handle` is null or valid, `path` null or ended by a zero.
+/// `path` is null or ended by a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char) -> i32 {
     guarded(|| {
-        expect_pointers([("handle", handle.is_null())])?;
-        // SAFETY: as the caller says.
-        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
-        // SAFETY: not null, and valid as the caller says.
-        unsafe { &*handle }.track.save(&path)?;
-        Ok(OK)
+        with(handle, |opened| {
+            // SAFETY: as the caller says.
+            let path = unsafe { path_of("path", path) }?.ok_or(Fault::Null("path"))?;
+            opened.track.save(&path)?;
+            Ok(OK)
+        })
     })
 }
 
@@ -263,12 +304,12 @@ pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char)
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char) -> i32 {
     guarded(|| {
-        expect_pointers([("handle", handle.is_null())])?;
-        // SAFETY: as the caller says.
-        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
-        // SAFETY: not null, and valid as the caller says.
-        unsafe { &mut *handle }.track.restore(&path)?;
-        Ok(OK)
+        with(handle, |opened| {
+            // SAFETY: as the caller says.
+            let path = unsafe { path_of("path", path) }?.ok_or(Fault::Null("path"))?;
+            opened.track.restore(&path)?;
+            Ok(OK)
+        })
     })
 }
 
@@ -277,9 +318,12 @@ pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char
 unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), Fault> {
     let s = settings;
     // SAFETY: as the caller says.
-    let [model, runtime, operators, camera, track, sha256] =
-        [s.model, s.runtime, s.operators, s.camera, s.track, s.sha256]
-            .map(|text| unsafe { path_of(text) });
+    let path = |name, text| unsafe { path_of(name, text) };
+    let (model, runtime) = (path("settings.model", s.model)?, path("settings.runtime", s.runtime)?);
+    let (operators, camera) =
+        (path("settings.operators", s.operators)?, path("settings.camera", s.camera)?);
+    let (track, sha256) = (path("settings.track", s.track)?, path("settings.sha256", s.sha256)?);
+    let sha256 = sha256.map(|text| digest("settings.sha256", text.as_os_str())).transpose();
     let images = match (camera, s.resize != 0) {
         (None, false) => Taken::ByModelsCamera,
         (Some(file), false) => Taken::ByCamera(file),
@@ -295,7 +339,7 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), F
         model: model.ok_or(Fault::Null("settings.model"))?,
         tracks: true,
         threads: (threads > 0).then_some(threads),
-        sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
+        sha256: sha256.map_err(Error::new)?,
         runtime: runtime.or_else(default_runtime),
         operators,
         images,
@@ -305,13 +349,15 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), F
 
 /// # Safety
 /// `text` is null or ended by a zero.
-unsafe fn path_of(text: *const c_char) -> Option<PathBuf> {
+unsafe fn path_of(name: &'static str, text: *const c_char) -> Result<Option<PathBuf>, Fault> {
     if text.is_null() {
-        return None;
+        return Ok(None);
     }
     // SAFETY: not null, and ended by a zero as the caller says.
     let bytes = unsafe { CStr::from_ptr(text) };
-    Some(Path::new(bytes.to_string_lossy().as_ref()).to_path_buf())
+    let text =
+        bytes.to_str().map_err(|_| Error::new(format!("{name}: expected UTF-8, got {bytes:?}")))?;
+    Ok(Some(text.into()))
 }
 
 /// Copies an image, its size checked first.
@@ -319,7 +365,7 @@ unsafe fn path_of(text: *const c_char) -> Option<PathBuf> {
 /// # Safety
 /// Its pixels are there: `height` rows, `stride` bytes apart.
 unsafe fn picture(image: &FfposeImage) -> Result<Picture, Fault> {
-    expect_pointers([("image.pixels", image.pixels.is_null())])?;
+    expect_pointer("image.pixels", image.pixels)?;
     let (width, height) = (image.width as usize, image.height as usize);
     expect_size(width, height)?;
     let channels = image.channels as usize;

@@ -1,7 +1,7 @@
 //! The command line.
 
 use std::env;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
 /// What `--help` prints.
@@ -160,7 +160,7 @@ impl Given {
             "--resize" => self.resize = true,
             "--camera" => self.camera = Some(value()?.into()),
             "--threads" => self.threads = Some(count(&value()?)?),
-            "--sha256" => self.sha256 = Some(digest(&value()?)?),
+            "--sha256" => self.sha256 = Some(digest("--sha256", &value()?)?),
             "--model" => self.model = Some(value()?.into()),
             "--images" => self.images = Some(value()?.into()),
             "--runtime" => self.runtime = Some(value()?.into()),
@@ -210,12 +210,12 @@ fn count(value: &OsString) -> Result<usize, String> {
         .ok_or_else(|| format!("--threads: expected a number from 1 to {MAX_THREADS}, got {text}"))
 }
 
-fn digest(value: &OsString) -> Result<String, String> {
+pub(crate) fn digest(name: &str, value: &OsStr) -> Result<String, String> {
     let text = value.to_string_lossy().to_lowercase();
     if text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Ok(text);
     }
-    Err(format!("--sha256: expected 64 hexadecimal digits, got {text}"))
+    Err(format!("{name}: expected 64 hexadecimal digits, got {text}"))
 }
 
 /// Returns ONNX Runtime's library of the environment, where no other is named.

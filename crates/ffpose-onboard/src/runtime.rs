@@ -1,6 +1,6 @@
 //! ONNX Runtime, whose library and that of ffpose's operator are loaded at run time.
 
-use std::env::consts;
+use std::env::{self, consts};
 use std::error::Error as _;
 use std::path::{Path, PathBuf, absolute};
 use std::sync::{Mutex, PoisonError};
@@ -60,6 +60,12 @@ fn load(named: Option<&Path>) -> Result<Environment> {
     // Not of the working folder, which may be anybody's.
     let usual = || format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX).into();
     let library = named.map_or_else(usual, located);
+    if library.is_relative() && env::current_exe().is_err() {
+        return Err(Error::new(format!(
+            "ONNX Runtime's library: expected an absolute path, as the place of this program is not known, got {}",
+            library.display()
+        )));
+    }
     let builder = ort::init_from(&library).map_err(|error| {
         let detail = match &error {
             LoadDynamicError::Dlopen { error, .. } => error.source().map(ToString::to_string),

@@ -1,5 +1,6 @@
 //! A track of the poses, its state in a file, and its lines.
 
+use std::ffi::OsString;
 use std::fs::{File, remove_file, rename};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -149,20 +150,30 @@ impl Track {
         Ok((step, reason))
     }
 
-    /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one.
+    /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one, once this has
+    /// returned the new one where a folder can be synced.
     pub(crate) fn save(&self, path: &Path) -> Result<()> {
-        let mut beside = path.as_os_str().to_owned();
-        beside.push(".new"); // a name of its own for each state
+        let refused = |error| Error::new(format!("cannot be written: {error}")).of(path.display());
+        let mut name = OsString::from(".");
+        name.push(path.file_name().unwrap_or_default());
+        name.push(".ffpose-new"); // no other's, whatever their states are called
+        let beside = path.with_file_name(name);
+        let mut file = File::create(&beside).map_err(refused)?;
         let write = || {
-            let mut file = File::create(&beside)?;
             file.write_all(&self.tracker.to_bytes(&self.tag))?;
             file.sync_all()?;
+            drop(file); // Windows renames no open file
             rename(&beside, path)
         };
         write().map_err(|error| {
-            let _ = remove_file(&beside); // it may not be there
-            Error::new(format!("cannot be written: {error}")).of(path.display())
-        })
+            let _ = remove_file(&beside); // what stays is written over by the next
+            refused(error)
+        })?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
+            let _ = folder.sync_all(); // some systems have none of a folder; the state is there
+        }
+        Ok(())
     }
 
     /// Takes up a state.
