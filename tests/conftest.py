@@ -4,6 +4,8 @@ import os
 
 import pytest
 
+from figures import blank_figures
+
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
@@ -13,6 +15,12 @@ def pytest_report_header():
     from ffpose import _rust
 
     return f"instruction sets: {', '.join(_rust.isas())}"
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures are blank."""
+    blank_figures(monkeypatch)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -89,6 +89,7 @@ def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate_prints_a_table(trained, image_set, tmp_path, capsys):
     words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
     assert main([*words, "--out", str(tmp_path)]) == 0
@@ -263,6 +264,7 @@ def test_a_camera_is_nothing_to_weights_without(square, capsys):
     assert main([*words, str(square / "square.json"), "--overlay", str(square / "ov")]) == 0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ffpose._internal.zoo.FOLDER", tmp_path)
     shutil.copy(trained / "best.safetensors", tmp_path / "soyuz.safetensors")
@@ -280,6 +282,7 @@ def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeyp
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
     fields = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
     fields["camera"] = (32.0, 32.0, 32.0, 32.0)
@@ -293,6 +296,7 @@ def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_inspect(image_set, tmp_path, capsys):
     words = ["inspect", *data_words(image_set), "--out", str(tmp_path)]
     assert main(words) == 0

@@ -16,8 +16,6 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
-from PIL import Image
 
 from benchmarks.__main__ import main as benchmarks
 from benchmarks.filter import run as bench
@@ -30,6 +28,7 @@ from ffpose.cli import main
 from ffpose.learn import run as learn
 from ffpose.learn.plan import Speed, TrainingPlan
 from ffpose.onnx import pose_graph
+from figures import blank_figures
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, LOOKING, OF_PAGES, POSENET, write_files
@@ -205,9 +204,7 @@ def folder(tmp_path, monkeypatch, exported_once):
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
     monkeypatch.setattr(learn, "plan_trainings", lambda *_: tiny)
-    # Matplotlib takes seconds to draw the figures of one evaluation; tests/evaluation draws them.
-    blank = Image.new("L", (1, 1))
-    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: blank.save(file, "PNG"))
+    blank_figures(monkeypatch)
     training = learn.training
     monkeypatch.setattr(
         learn, "training", lambda *given, **named: narrowed(training(*given, **named))

@@ -21,6 +21,7 @@ from ffpose.imaging.patches import LABELS
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import FilterformerPose
 from ffpose.render.renderer import label
+from figures import blank_figures
 
 pytestmark = pytest.mark.slow
 
@@ -79,7 +80,9 @@ def posed(tmp_path_factory):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     out = tmp_path_factory.mktemp("trained")
-    run(out, TRAIN, quiet=True)
+    with pytest.MonkeyPatch.context() as patch:
+        blank_figures(patch)
+        run(out, TRAIN, quiet=True)
     return out
 
 
@@ -184,6 +187,7 @@ def test_the_command_runs_without_an_activated_environment(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
     before = read(trained)
     again = run(trained, TRAIN)

@@ -10,9 +10,11 @@ import trimesh
 from PIL import Image
 
 from ffpose.cli import main
-from ffpose.render import load_craft
+from ffpose.geometry.symmetry import IDENTITY
+from ffpose.render import inspection, load_craft
 from ffpose.render.inspection import DIRECTIONS, TILE, _view, inspect_mesh, studio_view
 from ffpose.render.spacecraft.craft import bounding_sphere
+from ffpose.render.symmetry import Symmetries
 
 
 def write_box(folder, size=(2.0, 1.0, 0.5), shift=(0.0, 0.0, 0.0), invert=False, drop=0):
@@ -25,6 +27,13 @@ def write_box(folder, size=(2.0, 1.0, 0.5), shift=(0.0, 0.0, 0.0), invert=False,
     path = folder / "box.ply"
     mesh.export(path)
     return path
+
+
+@pytest.fixture
+def described(monkeypatch):
+    """Nothing is searched for symmetries, or drawn, of which the first test has all."""
+    monkeypatch.setattr(inspection, "find_symmetries", lambda _: Symmetries(IDENTITY, [], []))
+    monkeypatch.setattr(inspection, "view_sheet", lambda *_: Image.new("RGB", (1, 1)))
 
 
 def doubts(folder, scale=1.0, **box):
@@ -46,7 +55,7 @@ def test_a_sound_mesh_is_measured_and_not_doubted(tmp_path):
         assert len(DIRECTIONS) == 12
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("described")
 def test_colors_of_faces_are_those_of_their_material(tmp_path):
     """Half of the faces red, half white: sRGB codes of 255 and 0 are light of 1 and 0."""
     mesh = trimesh.creation.box((1.0, 1.0, 1.0))
@@ -56,7 +65,7 @@ def test_colors_of_faces_are_those_of_their_material(tmp_path):
     np.testing.assert_allclose(material["color"], (1, 0.5, 0.5))
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("described")
 @pytest.mark.parametrize(
     ("box", "scale", "doubt"),
     [
@@ -72,7 +81,7 @@ def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
     assert re.search(doubt, doubts(tmp_path, scale, **box))
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("described")
 def test_the_share_of_the_disk_is_that_of_the_silhouette(tmp_path):
     """Views along the edges of a unit cube show 1, those along its diagonals the root of 3."""
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "cube.ply")
@@ -80,6 +89,7 @@ def test_the_share_of_the_disk_is_that_of_the_silhouette(tmp_path):
     assert share == pytest.approx((1 + 3**0.5) / 2 / (math.pi * 0.75), rel=0.1)  # perspective
 
 
+@pytest.mark.usefixtures("described")
 @pytest.mark.parametrize(("far", "said"), [(200.0, True), (10.0, False)])
 def test_parts_that_widen_the_bounding_sphere_are_doubted(tmp_path, far, said):
     """A cube of a meter and a grain that is so far away."""
@@ -90,6 +100,7 @@ def test_parts_that_widen_the_bounding_sphere_are_doubted(tmp_path, far, said):
     assert ("--distance NEAR FAR" in " ".join(summary["doubts"])) == said
 
 
+@pytest.mark.usefixtures("described")
 @pytest.mark.parametrize(("alpha", "said"), [(0.75, True), (1.0, False)])
 def test_a_spacecraft_that_one_sees_through_is_doubted(tmp_path, alpha, said):
     """Models drawn as holograms have such materials."""
