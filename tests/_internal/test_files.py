@@ -1,6 +1,7 @@
 """Files appear whole or not at all."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from ffpose._internal.files import (
     expect_folder,
     expect_place,
     expect_writable,
+    held,
     remove_leftovers,
     sha256,
 )
@@ -86,6 +88,33 @@ with atomic_write(sys.argv[1]) as path:
     path.write_text("half")
     os._exit(9)
 """
+
+
+HOLDING = """
+import os, sys, time
+from ffpose._internal.files import held
+with held(sys.argv[1]):
+    if (forked := os.fork()) == 0:
+        time.sleep(60)  # longer than the other lives
+        os._exit(0)
+    print(forked, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no locks of folders")
+def test_a_folder_is_held_until_its_process_ends(tmp_path):
+    command = [sys.executable, "-c", HOLDING, str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as process:
+        forked = int(process.stdout.readline())
+        with pytest.raises(OSError, match=r"expected no other run at work in .*, got one"):
+            held(tmp_path).__enter__()
+        process.kill()
+    for _ in range(2):
+        with held(tmp_path):
+            assert not list(tmp_path.iterdir())
+    os.kill(forked, signal.SIGKILL)
 
 
 def test_what_a_killed_process_leaves_is_removed_when_it_is_old(tmp_path):

@@ -54,8 +54,8 @@ def mesh(tmp_path):
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Nothing is measured, little is trained, and graphs look once: torch records them sooner."""
+def quick(monkeypatch, undrawn):
+    """Nothing is measured, little is trained or drawn, and graphs look once, which is sooner."""
     exported = partial(run.export_weights, looks=1, candidates=1)
     monkeypatch.setattr(run, "export_weights", exported)
     monkeypatch.setattr(run, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
@@ -183,15 +183,68 @@ def test_at_most_four_train_one_on_each_gpu_and_all_prepare_their_batches(
 def test_an_interrupted_run_goes_on_with_as_many_that_train(tmp_path, monkeypatch):
     """On other cores, and with other spellings of its paths."""
     monkeypatch.chdir(tmp_path)
-    record = run._Record.open(LearnConfig(Path("craft.stl"), tmp_path))
+    record = run._Record.open(LearnConfig(Path("craft.stl"), tmp_path), "craft of 1 m")
     record.plans, record.speed = (TrainingPlan("first", 40, 1),) * 2, Speed(9.0, 99.0)
     record.world = 2
     record.write(tmp_path)
-    found = run._Record.open(LearnConfig(tmp_path / "craft.stl", tmp_path, processes=16))
-    config = planned(tmp_path, processes=16, world=found.world)
-    assert (config.processes, config.batch_size, config.data.workers) == (2, 16, 16)
+    config = LearnConfig(tmp_path / "craft.stl", tmp_path, processes=16)
+    found = run._Record.open(config, "craft of 1 m")
+    made = planned(tmp_path, processes=16, world=found.world)
+    assert (made.processes, made.batch_size, made.data.workers) == (2, 16, 16)
     with pytest.raises(ValueError, match=r"expected mesh craft\.stl as the run in"):
-        run._Record.open(LearnConfig(Path("other.stl"), tmp_path))
+        run._Record.open(LearnConfig(Path("other.stl"), tmp_path), "craft of 1 m")
+    with pytest.raises(ValueError, match=r"expected spacecraft craft of 1 m as .* got .* of 2 m"):
+        run._Record.open(config, "craft of 2 m")
+
+
+@pytest.mark.parametrize("name", ["symmetry", "init"])
+def test_a_run_does_not_go_on_with_another_file_of_the_same_name(tmp_path, name):
+    path = tmp_path / "given"
+    path.write_text("one")
+    config = LearnConfig(Path("craft.stl"), tmp_path, **{name: str(path)})
+    record = run._Record.open(config, "craft")
+    record.plans, record.speed = (TrainingPlan("first", 40, 1),) * 2, Speed(9.0, 99.0)
+    record.write(tmp_path)
+    run._Record.open(config, "craft")
+    path.write_text("another")
+    with pytest.raises(ValueError, match=f"expected {name}_sha256"):
+        run._Record.open(config, "craft")
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"camera": DEFAULT_CAMERA.resized(9341, 7000)}, r"camera: .* 16…8192, got \(9341, 7000\)"),
+        ({"test_images": 0}, "test_images: expected 1 or more, got 0"),
+    ],
+)
+def test_what_would_fail_after_the_training_is_refused_before(tmp_path, fields, text):
+    with pytest.raises(ValueError, match=text):
+        LearnConfig(tmp_path / "craft.stl", tmp_path, **fields)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        ((512, 384), (512, 384)),
+        ((9344, 7000), (1168, 875)),
+        ((5472, 3648), (912, 608)),
+        ((8192, 100), (8192, 100)),
+    ],
+)
+def test_test_images_of_a_large_sensor_are_smaller(tmp_path, monkeypatch, size, expected):
+    sizes = []
+
+    def written(*_, size, **__):
+        sizes.append(size)
+        raise InterruptedError
+
+    monkeypatch.setattr(run, "write_dataset", written)
+    camera = DEFAULT_CAMERA.resized(*size)
+    config = LearnConfig(Path("craft.stl"), tmp_path, camera=camera)
+    with pytest.raises(InterruptedError):
+        run._tested(config, SimpleNamespace(scene=lambda: None), (), 1, str)
+    assert sizes == [expected]
 
 
 def test_where_the_origin_lies_far_outside_the_camera_keeps_clear_of_the_spacecraft(tmp_path):

@@ -25,7 +25,7 @@ from ffpose.models import (
 )
 from ffpose.models import weights as files
 from ffpose.models.registry import open_weights
-from ffpose.models.weights import checksum_path, load_weights
+from ffpose.models.weights import checksum_path, copy_weights, load_weights
 
 FIELDS = {
     "backbone": "test_efficientnet",
@@ -166,6 +166,17 @@ def test_images_of_unknown_size_have_the_inputs_shape(model):
     config = replace(model.config, camera=(50.0, 51.0, 48.0, 32.0))
     metadata = WeightsMetadata(config, Preprocessing(size=(64, 96)))
     assert metadata.camera == Camera(96, 64, 50.0, 51.0, 48.0, 32.0)
+
+
+def test_a_copy_has_a_checksum_of_its_own(path, tmp_path):
+    """Whatever became of that of the original."""
+    checksum_path(path).unlink()
+    copy = tmp_path / "copy.safetensors"
+    checksum_path(copy).write_text("of another file\n")
+    copy_weights(path, copy)
+    assert copy.read_bytes() == path.read_bytes()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert checksum_path(copy).read_text() == f"{digest}  copy.safetensors\n"
 
 
 def test_checksum_is_that_of_sha256sum(path):

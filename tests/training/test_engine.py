@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file
 
+from ffpose._internal.files import held
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.models import FilterformerPose, read_metadata
@@ -19,6 +20,7 @@ from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
 from ffpose.training.losses import JointLoss
 from ffpose.training.options import load_config
+from ffpose.training.processes import Processes
 from ffpose.training.progress import Reporter
 from ffpose.training.run import (
     build_optimizer,
@@ -477,9 +479,28 @@ def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypa
     config = train_config(image_set, tmp_path / "run", batch_size=10)
     with pytest.raises(NonFiniteLossError, match=r"the loss became nan in epoch 1; images: ") as e:
         run_quietly(config)
-    named = str(e.value).split("images: ")[1].split(", ")
+    told, remedy = str(e.value).split("images: ")[1].split(". Another seed, ")
+    assert "lower optimizer.learning_rate than" in remedy
+    named = told.split(", ")
     assert sorted(named) == sorted(f"{index}_rgb.png" for index in range(10))
     assert not (tmp_path / "run/last.safetensors").exists()
+
+
+def test_a_loss_that_is_no_number_elsewhere_ends_this_process_too(image_set, tmp_path, monkeypatch):
+    """Processes tell each other before the backward pass, in which they wait for each other."""
+    told = []
+    monkeypatch.setattr(Processes, "total", lambda _, value: told.append(float(value)) or value + 1)
+    with pytest.raises(NonFiniteLossError, match="a loss is not finite in epoch 1; in another"):
+        run_quietly(train_config(image_set, tmp_path / "run"))
+    assert told == [0.0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no locks of folders")
+def test_two_runs_do_not_write_to_one_folder(image_set, tmp_path):
+    (tmp_path / "run").mkdir()
+    with held(tmp_path / "run"), pytest.raises(OSError, match="expected no other run at work in"):
+        run_quietly(train_config(image_set, tmp_path / "run"))
+    assert not list((tmp_path / "run").iterdir())
 
 
 def test_a_training_that_diverges_is_called_so(image_set, tmp_path):

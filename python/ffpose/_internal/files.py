@@ -9,6 +9,7 @@ import json
 import os
 import reprlib
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,9 @@ from ffpose.errors import DataError
 
 _PREFIX = ".ffpose-"
 """Prefix of the temporary folders that files are written in before they are renamed."""
+
+_held = set[int]()
+"""Descriptors of the folders that `held` keeps."""
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
@@ -168,6 +172,50 @@ def shortened(value: object) -> str:
         ("[0.5, 'a']", 80)
     """
     return _SHORT.repr(value)
+
+
+@contextmanager
+def held(folder: str | Path) -> Iterator[None]:
+    """Keep an existing folder for this process within the block, where `flock` does so.
+
+    Windows has none, nor have some file systems: nothing is kept there. The end of the process,
+    however it ends, gives the folder back, as those that it forks do not keep it; nothing is
+    written into it.
+
+    Raises:
+        OSError: Another process keeps it.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    descriptor = os.open(folder, os.O_RDONLY)
+    _held.add(descriptor)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise OSError(
+                f"expected no other run at work in {folder}, got one: wait for its end, or write to"
+                " another folder"
+            ) from error
+        except OSError:
+            pass  # this file system has no locks
+        yield
+    finally:
+        if descriptor in _held:  # not where a fork of this process has left the block
+            _held.remove(descriptor)
+            os.close(descriptor)
+
+
+def _let_go() -> None:
+    while _held:
+        os.close(_held.pop())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:

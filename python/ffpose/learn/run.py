@@ -8,6 +8,7 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 
 from ffpose import __version__
 from ffpose._internal.files import (
-    atomic_write,
+    held,
     read_json,
     same_place,
     sha256,
@@ -51,12 +52,13 @@ from ffpose.learn.plan import (
 )
 from ffpose.learn.speed import measure_speed
 from ffpose.models import build_network
-from ffpose.models.weights import checksum_path, load_weights
+from ffpose.models.weights import copy_weights, load_weights
 from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.inspection import find_doubts
+from ffpose.render.renderer import MAX_SIDE, MIN_SIDE
 from ffpose.render.spacecraft.craft import bounding_sphere
 from ffpose.render.symmetry import Symmetries, find_symmetries
 from ffpose.training import TrainConfig
@@ -68,6 +70,9 @@ WEIGHTS, GRAPH = "best.safetensors", "model.onnx"
 
 TEST_IMAGES = 300
 CARD_IMAGES = 60
+
+TEST_SIDE = 1280
+"""Greatest side of test images; those of a large sensor would take longer than the training."""
 
 NEAR_SHOWN = 3
 """Number of symmetries that are told and not folded; ``symmetry.json`` has all."""
@@ -101,7 +106,7 @@ class LearnConfig:
             together, on GPUs one each; 0 for one a core.
         seed: Seed of everything.
         device: "auto" (a GPU if there is one) or a device that torch knows.
-        test_images: Number of images of the test.
+        test_images: Number of images of the test, which have `test_size`.
         card_images: Number of images of each condition of the card; 0 for no card.
         mesh_up: Axis of the mesh file that becomes the object's z.
         mesh_center: Whether the origin is moved to the middle of the bounding sphere.
@@ -140,6 +145,23 @@ class LearnConfig:
         if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
             raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")
         expect(self.processes >= 0, "processes", "0 or more", self.processes)
+        expect(self.test_images >= 1, "test_images", "1 or more", self.test_images)
+        size = test_size(self.camera)
+        fits = all(MIN_SIDE <= side <= MAX_SIDE for side in size)
+        expect(fits, "camera", f"width and height within {MIN_SIDE}…{MAX_SIDE}", size)
+
+
+def test_size(camera: Camera) -> tuple[int, int]:
+    """Return the size of a camera's test images: its own, or a part of exactly its aspect ratio.
+
+    A greater side than `TEST_SIDE` is divided by the least number that makes it that or smaller, if
+    one up to twice that divides both sides.
+    """
+    width, height = camera.width, camera.height
+    least = math.ceil(max(width, height) / TEST_SIDE)
+    both = (n for n in range(least, 2 * least + 1) if width % n == height % n == 0)
+    part = next(both, 1)
+    return width // part, height // part
 
 
 def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
@@ -164,18 +186,29 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             the folder holds a run with other settings.
         ffpose.DataError: The mesh, the initial weights, or a file of an interrupted run cannot be
             used.
-        OSError: The folder cannot be written, or the disk is full.
+        OSError: The folder cannot be written, another process is at work in it, or the disk is
+            full.
     """
+    with ExitStack() as folder:
+        return _learn(config, say, folder)
+
+
+def _learn(config: LearnConfig, say: Say, folder: ExitStack) -> dict[str, Any]:
+    """Do what `learn` does; ``folder`` holds the run's, from the start or where it is made."""
     began = time.monotonic()
+    if there := config.out.is_dir():
+        folder.enter_context(held(config.out))
     processes = config.processes or cores()
     radius, scene_file = _inspected(config)
     scene = scene_file.scene()
-    record = _Record.open(config)
+    record = _Record.open(config, scene.build().name)
     initial = _initial(config.init)
     planned = record.plans is not None
     symmetries = None if planned else find_symmetries(scene.build())
     group = SymmetryGroup.chosen(config.symmetry)
     config.out.mkdir(parents=True, exist_ok=True)
+    if not there:
+        folder.enter_context(held(config.out))
     folds = config.out / SYMMETRY
     if symmetries is not None:
         group = symmetries.group if group is None else group
@@ -220,7 +253,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     rendering = time.monotonic()
     early = train(configured(first, initial), resume=True)
     if not (config.out / WEIGHTS).exists():
-        _publish(early.folder.best, config.out)
+        copy_weights(early.folder.best, config.out / WEIGHTS)
         spent = (time.monotonic() - began) / 60
         say(f"a first answer after {spent:.1f} minutes: {_validated(early)}")
     if not RunFolder(config.out / second.name).config.exists():
@@ -232,8 +265,13 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             record.plans = (first, second)
             record.write(config.out)
     final = train(configured(second, early.folder.best), resume=True)
-    _publish(final.folder.best, config.out)
+    copy_weights(final.folder.best, config.out / WEIGHTS)
     evaluation = _tested(config, scene_file, _unfolded(folds, group), processes, say)
+    summary = evaluation.summary()
+    _report(config, evaluation, final, radius, scene_file)
+    if not _exported(config.out):
+        say("exporting, and checking the graph against torch")
+        export_weights(config.out / WEIGHTS, config.out / GRAPH)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(
@@ -244,11 +282,6 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             device=config.device,
         )
         write_text(config.out / "card.md", format_card(card))
-    summary = evaluation.summary()
-    _report(config, evaluation, final, radius, scene_file)
-    if not _exported(config.out):
-        say("exporting, and checking the graph against torch")
-        export_weights(config.out / WEIGHTS, config.out / GRAPH)
     say(str(config.out / "report.html"))
     say(verdict(summary))
     return summary
@@ -340,12 +373,6 @@ def _folded(group: SymmetryGroup) -> str:
     return "none" if len(group) == 1 else f"{group}: attitudes of one look are one"
 
 
-def _publish(weights: Path, out: Path) -> None:
-    for source in (checksum_path(weights), weights):
-        with atomic_write(out / source.name) as temporary:
-            shutil.copyfile(source, temporary)
-
-
 def _validated(result: TrainResult) -> str:
     row = result.history[result.best_epoch - 1]
     return (
@@ -388,6 +415,7 @@ def _tested(
         images,
         config.test_images,
         matching(CHOICES, config.seed),
+        size=test_size(config.camera),
         workers=processes,
     )
     evaluation = evaluate(
@@ -527,10 +555,20 @@ class _Record:
     world: int | None = None
 
     @classmethod
-    def open(cls, config: LearnConfig) -> _Record:
+    def open(cls, config: LearnConfig, spacecraft: str) -> _Record:
+        """Open a folder's record, or begin one; ``spacecraft`` names the mesh with its contents.
+
+        Raises:
+            ValueError: The folder's run has other settings, or a file that it read has changed.
+            ffpose.DataError: The record cannot be used.
+        """
         settings = json.loads(json.dumps(asdict(config), default=str))
         for name in ("out", "processes", "device"):
             del settings[name]
+        settings["spacecraft"] = spacecraft
+        for name in ("symmetry", "init"):
+            if (path := Path(settings[name])).is_file():
+                settings[f"{name}_sha256"] = sha256(path)
         path = config.out / RECORD
         if not path.exists():
             return cls(settings)
@@ -543,7 +581,7 @@ class _Record:
             remedy = "remove the folder, or write to another"
             raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
         for name, value in settings.items():
-            if not same_place(there.get(name), value):
+            if name in there and not same_place(there[name], value):
                 raise ValueError(
                     f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
                     f" {value}; remove the folder, or write to another"

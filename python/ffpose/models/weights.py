@@ -159,9 +159,17 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
     """
     header = _to_header(metadata)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
+    _write(path, _in_order(save(tensors, header)))
+
+
+def copy_weights(weights: Path, path: Path) -> None:
+    """Copy a weights file, and write its checksum, atomically as `write_weights`."""
+    _write(path, weights.read_bytes())
+
+
+def _write(path: str | Path, content: bytes) -> None:
     sidecars = {checksum_path(each).resolve() for each in (path, Path(path).resolve())}
     with atomic_write(path) as temporary:
-        content = _in_order(save(tensors, header))
         temporary.write_bytes(content)  # safetensors' own file would deny others to read it
         digest = sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.

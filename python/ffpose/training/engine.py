@@ -12,6 +12,7 @@ import math
 import os
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ffpose._internal.files import held
 from ffpose.config import looks_twice
 from ffpose.errors import require
 from ffpose.evaluation.metrics import PoseError
@@ -94,6 +96,7 @@ def train(
         ffpose.DataError: An image or a label cannot be used.
         ffpose.MissingExtraError: TensorBoard is asked for and not installed.
         NonFiniteLossError: The loss is infinite or NaN.
+        OSError: The folder cannot be written, or another process trains in it.
     """
     if config.tensorboard:
         require("tensorboard", "tb")
@@ -108,7 +111,9 @@ def _train(
 ) -> TrainResult:
     """Do what `train` does, as one of the processes that train together."""
     keep_freed_memory()
-    with joined(config.device) as processes:
+    with joined(config.device) as processes, ExitStack() as folders:
+        if there := config.out.is_dir() and processes.leads:
+            folders.enter_context(held(config.out))  # before its state is read
         quiet = quiet or not processes.leads
         folder = RunFolder(config.out)
         state = folder.open(config, resume=resume)
@@ -118,6 +123,8 @@ def _train(
             _restore(run, state, resumed)
         if processes.leads:
             folder.begin(config)
+            if not there:
+                folders.enter_context(held(config.out))
         done, steps = len(state.history), run.task.steps
         epochs = sum(stage.epochs for stage in config.resolved_stages)
         with (
@@ -302,10 +309,13 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
     with torch.autocast(run.device.type, torch.bfloat16, enabled=run.config.autocast == "bfloat16"):
         terms = objective(batch)
     values = torch.stack(terms).detach().double().cpu()
-    if not bool(values.isfinite().all()):
+    finite = bool(values.isfinite().all())
+    if run.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
+        became = f"the loss became {float(values[0])}" if not finite else "a loss is not finite"
+        where = f"images: {run.task.names(batch)}" if not finite else "in another process"
         raise NonFiniteLossError(
-            f"the loss became {float(values[0])} in epoch {epoch.number}; "
-            f"images: {run.task.names(batch)}"
+            f"{became} in epoch {epoch.number}; {where}. Another seed, a clip_norm, or a lower"
+            f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g} may help"
         )
     torch.autograd.backward(terms.total / share)
     return values
