@@ -65,6 +65,9 @@ MOSTLY_CUT = 0.35
 LEAST_MOSTLY_CUT = 50
 """Of fewer such objects the quantile tells less than the likelihood."""
 
+LEVEL = 0.9
+"""Confidence level whose regions contain as much of the errors of such objects."""
+
 MOST_GROWTH = 100.0
 """Of standard deviations with the squared share that is cut off."""
 
@@ -148,7 +151,7 @@ def calibrate(
     translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
     cut = np.concatenate(shares)
     mostly = cut >= MOSTLY_CUT
-    mostly[: len(shares[0])] = False  # whole in the frame, unlike the sphere about them
+    mostly[: len(shares[0])] = False  # of these only the sphere about the object is cut
     tails = []
     one_mode = np.ones((len(cut), 1))
     for distances, probabilities in ((translation[:, None], one_mode), (rotation, modes)):
@@ -282,9 +285,8 @@ def covering_growth(
     doubt: FloatArray,
     truncation: FloatArray,
     probabilities: FloatArray,
-    level: float = 0.9,
 ) -> float:
-    """Return the least growth with truncation at which regions of a level contain that share.
+    """Return the least growth with truncation at which regions of `LEVEL` contain that share.
 
     It is at most `MOST_GROWTH`. Arguments are those of `fit_tails`, distances and probabilities
     ``(N, K)``, truncations above 0.
@@ -294,12 +296,12 @@ def covering_growth(
     def contained(growth: float) -> float:
         d2 = squared_distance / (scale * (1 + growth * truncation**2) ** 2)[:, None]
         regions = mixture_probability(d2, probabilities, tails.degrees_of_freedom)
-        return float((regions <= level).mean())
+        return float((regions <= LEVEL).mean())
 
     low, high = 0.0, MOST_GROWTH
     while high - low > 1e-3:
         middle = (low + high) / 2
-        low, high = (low, middle) if contained(middle) >= level else (middle, high)
+        low, high = (low, middle) if contained(middle) >= LEVEL else (middle, high)
     return high if low else 0.0
 
 
