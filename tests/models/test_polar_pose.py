@@ -303,7 +303,7 @@ def test_autocast_leaves_the_geometry_in_float32(model, monkeypatch):
 
 
 def test_an_exported_network_takes_batches_of_any_size():
-    """Of one look: others are the same again, and the shipped networks are exported whole."""
+    """With one look, as further ones repeat it; shipped networks are exported with all of them."""
     model = build(looks=1, candidates=1)
     shapes = ({0: torch.export.Dim("batch")},)
     program = torch.export.export(model, (images(2),), dynamic_shapes=shapes).module()

@@ -13,9 +13,9 @@ likelihood are the degrees of freedom, a scale of the covariances, and how the s
 grow with the network's own doubt of the attitude, the probability that its bins give to attitudes
 far from the most likely one, and with the squared share that is cut off. This is the analog of
 temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
-2017). The covariances are then those of the t distributions, not their scale matrices. How they
-grow with the share that is cut off is found anew from the quantile of the errors of objects that
-lack much, as theirs are not quite so distributed.
+2017). The covariances are then those of the t distributions, not their scale matrices. Errors of
+heavily truncated objects are not quite t distributed: the growth with truncation is found anew,
+such that their confidence regions have the nominal coverage (as in conformal prediction).
 """
 
 from __future__ import annotations
@@ -60,16 +60,16 @@ STEPS = 300
 """Largest number of steps of the fit, which ends when the likelihood no longer changes."""
 
 MOSTLY_CUT = 0.35
-"""Share of the view that is cut off from which on an object lacks much."""
+"""Truncation, the share of the view that is cut off, of a heavily truncated object: at least."""
 
 LEAST_MOSTLY_CUT = 50
-"""Of fewer such objects the quantile tells less than the likelihood."""
+"""Fewest images of such objects whose coverage determines the growth with truncation."""
 
 LEVEL = 0.9
-"""Confidence level whose regions contain as much of the errors of such objects."""
+"""Confidence level at which their coverage is nominal."""
 
 MOST_GROWTH = 100.0
-"""Of standard deviations with the squared share that is cut off."""
+"""Largest growth of the standard deviations with the squared truncation."""
 
 LEAST_SLOPE = 0.5
 """A look that follows the true offset by less makes its noise more than twice as large to mend."""
@@ -151,7 +151,7 @@ def calibrate(
     translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
     cut = np.concatenate(shares)
     mostly = cut >= MOSTLY_CUT
-    mostly[: len(shares[0])] = False  # of these only the sphere about the object is cut
+    mostly[: len(shares[0])] = False  # in these the object is whole, and only its sphere is cut
     tails = []
     one_mode = np.ones((len(cut), 1))
     for distances, probabilities in ((translation[:, None], one_mode), (rotation, modes)):

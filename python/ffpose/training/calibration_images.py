@@ -18,10 +18,10 @@ EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS, DUSK_SEEDS = 500_000, 400_000, 3
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
 
 TRUNCATED_SHARE = (0.25, 0.9)
-"""Least and greatest share of a spacecraft that the border leaves, of those that are learned."""
+"""Least and greatest visible share of a truncated spacecraft in training images."""
 
 CALIBRATED_SHARE = (0.3, 0.6)
-"""The same of those that calibrate: of less than is cut off here, errors hardly depend."""
+"""The same in calibration images; with more in view, errors depend little on truncation."""
 
 RANDOMIZATION = 0.7
 """Strength of the randomized images, as `ffpose render --randomize` has it."""

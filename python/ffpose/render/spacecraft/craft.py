@@ -29,7 +29,7 @@ class Craft:
         mesh: Surface of the spacecraft.
         materials: The materials that `Mesh.material` indexes.
         keypoints: Points (3,) in the object frame, meters, by name.
-        is_even: Whether the vertices stand for the surface, as those of a file need not.
+        is_even: Whether vertices are dense everywhere on the surface; those of a file need not be.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Craft:
     def outline(self) -> NDArray[np.float64]:
         """Points (N, 3), some hundreds, that stand for the spacecraft: its surface, and its ends.
 
-        Vertices do where they are even.
+        A sample of the vertices, where these are even.
         """
         vertices = self.mesh.vertices
         if self.is_even:
