@@ -103,31 +103,14 @@ def run(options: argparse.Namespace) -> None:
 
 def predicted(weights: str, folder: Path, sequence: list[Frame]) -> list[Pose | None]:
     """Return the pose of each whole frame, from the folder where those of the file were kept."""
-    kept = folder / f"poses-{sha256(resolve(weights))[:12]}.pickle"
+    kept = folder / f"predicted-{sha256(resolve(weights))[:12]}.pickle"
     if not kept.exists():
         estimator = load(weights, camera=Camera.read(folder / "camera.json"), warm_up=0)
         answers = predict(estimator, [frame.image for frame in sequence])
         poses = [None if isinstance(answer, Failure) else answer.pose for answer in answers]
         with atomic_write(kept) as path:
-            path.write_bytes(pickle.dumps([_plain(pose) for pose in poses]))
-    return [_pose(plain) for plain in pickle.loads(kept.read_bytes())]
-
-
-def _plain(pose: Pose | None) -> object:
-    if pose is None or pose.uncertainty is None:
-        return None
-    said = pose.uncertainty
-    names = [name for name in said.__slots__ if name != "__weakref__"]
-    return pose.t, pose.q, {name: getattr(said, name) for name in names}
-
-
-def _pose(plain: object) -> Pose | None:
-    from ffpose.geometry import PoseUncertainty
-
-    if not isinstance(plain, tuple):
-        return None
-    t, q, said = plain
-    return Pose(t, q, PoseUncertainty(**said))
+            path.write_bytes(pickle.dumps(poses))
+    return list(pickle.loads(kept.read_bytes()))
 
 
 def of_poses(sequence: list[Frame], poses: list[Pose | None], tracker: Tracker) -> list[Followed]:

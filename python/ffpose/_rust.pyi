@@ -122,7 +122,7 @@ class Tracker:
     def step(
         self,
         time: float,
-        poses: Sequence[tuple[Any, ...]],
+        poses: Sequence[tuple[Any, ...]] | None,
         camera_rate: Sequence[float],
     ) -> dict[str, Any]: ...
     def expected(self, time: float, camera_rate: Sequence[float]) -> list[float] | None: ...

@@ -339,8 +339,14 @@ def test_where_to_look_is_known_while_frames_correct_the_track():
     assert tracker.expected(30) is None  # later than a track lasts
     turned = tracker.expected(20, camera_rate=(0, 10, 0))  # by 5 degrees: it moves to the left
     np.testing.assert_allclose(turned[0] / turned[2], -np.tan(np.radians(5)), atol=0.01)
-    tracker.step(20, None)
-    assert tracker.expected(20.5) is None
+    tracker.step(20, None)  # one that never came is no reason to search
+    np.testing.assert_allclose(tracker.expected(21), [0, 0, 17.9], atol=0.1)
+    resumed = Tracker.from_state(tracker.state())
+    empty = pose([3, 3, 9], Rotation.identity(), np.eye(3), np.eye(3), 0.01, 0.5)
+    for each in (tracker, resumed):
+        each.step(20.5, empty)
+        each.step(21, None)
+        assert each.expected(21.5) is None  # the last that came does not show it
 
 
 def test_flagged_frames_and_frames_without_a_pose_are_coasted():

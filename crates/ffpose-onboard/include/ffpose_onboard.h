@@ -93,8 +93,8 @@ int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected. The whole frame is
- * searched, which takes about twice as long, without a track and after any frame that did not correct it: late, null, flagged or gated.
- * With a limit too short for that, every later frame is late too: give the next one more. A null image is a frame that never came.
+ * searched, which takes about twice as long, without a track and where the last frame that was neither null nor late did not correct it:
+ * give it that time, as with a limit too short for it every later frame is late too. A null image is a frame that never came.
  * Where no track leads, a time that is earlier by more than the setting `coasting` begins anew: of a finite one, a wrong time costs a
  * track no more than a gap; ffpose_reset does so at once. A model without uncertainty has poses alone: FFPOSE_FAILED. */
 int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, double seconds, ffpose_motion *motion);

@@ -21,7 +21,7 @@ use crate::estimator::{Deadline, Estimator, Look};
 use crate::options::{MAX_THREADS, Setup, Taken, default_runtime, digest};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
-use crate::track::{Seen, Track};
+use crate::track::{Track, measurement};
 
 const OK: i32 = 0;
 const LATE: i32 = 1;
@@ -260,9 +260,8 @@ pub unsafe extern "C" fn ffpose_track(
                 estimator.look(&picture, Look { at: track.expected(time), deadline })?
             };
             let meaning = estimator.meaning();
-            let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
-            let (step, reason) = track.step(time, seen.as_ref())?;
-            let told = moved(time, &step, reason);
+            let seen = outputs.as_ref().map(|outputs| measurement(outputs, meaning)).transpose()?;
+            let told = moved(time, &track.step(time, seen.as_ref())?);
             // SAFETY: not null, aligned, and valid for a write as the caller says.
             unsafe { motion.write(told) };
             Ok(if outputs.is_none() && !image.is_null() { LATE } else { OK })
@@ -418,13 +417,13 @@ fn told(outputs: &Outputs, estimator: &Estimator) -> FfposePose {
     }
 }
 
-fn moved(time: f64, step: &Step, reason: &str) -> FfposeMotion {
+fn moved(time: f64, step: &Step) -> FfposeMotion {
     let outcome = match step.outcome {
         Outcome::Accepted => 0,
         Outcome::Switched => 1,
         Outcome::Gated => 2,
-        Outcome::Coasted if reason == "flagged" => 4,
         Outcome::Coasted => 3,
+        Outcome::Flagged => 4,
         Outcome::Acquiring => 5,
         Outcome::Lost => 6,
     };

@@ -5,7 +5,7 @@ use std::fs::{File, remove_file, rename};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use ffpose_track::{Estimate, Measurement, Mode, Outcome, Parameters, STATE_BYTES, Step, Tracker};
+use ffpose_track::{Estimate, Measurement, Mode, Parameters, STATE_BYTES, Step, Tracker};
 use serde_json::{Map, Value, json};
 
 use crate::answers::unpanicked;
@@ -97,14 +97,14 @@ impl Track {
         let looked = look.map(unpanicked).transpose();
         let (outputs, mut failed) =
             looked.map_or_else(|error| (None, Some(error)), |one| (one, None));
-        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose();
+        let seen = outputs.as_ref().map(|outputs| measurement(outputs, meaning)).transpose();
         let seen = seen.unwrap_or_else(|error| {
             failed = Some(error);
             None
         });
-        let (step, reason) = self.step(seconds, seen.as_ref())?;
+        let step = self.step(seconds, seen.as_ref())?;
         let mut line = Map::from_iter([("time".into(), json!(seconds))]);
-        line.extend(told(&step, reason));
+        line.extend(told(&step));
         if let Some(outputs) = &outputs {
             line.insert("measured".into(), document(outputs, meaning).into());
         }
@@ -132,22 +132,10 @@ impl Track {
         self.tracker.expected(time, [0.0; 3])
     }
 
-    /// Moves on to a time, seconds, with what a frame says; returns what became of it, in a word.
-    pub(crate) fn step(&mut self, time: f64, seen: Option<&Seen>) -> Result<(Step, &'static str)> {
-        let flagged = seen.is_some_and(|Seen(measured)| measured.is_none());
-        let measured = seen.and_then(|Seen(measured)| measured.as_ref());
-        let step = self.tracker.step(time, measured, [0.0; 3]);
-        let step = step.map_err(|error| Error::new(error.to_string()))?;
-        let reason = match step.outcome {
-            Outcome::Accepted => "accepted",
-            Outcome::Switched => "switched",
-            Outcome::Gated => "gated",
-            Outcome::Coasted if flagged => "flagged",
-            Outcome::Coasted => "coasted",
-            Outcome::Acquiring => "acquiring",
-            Outcome::Lost => "lost",
-        };
-        Ok((step, reason))
+    /// Moves on to a time, seconds, with what a frame says.
+    pub(crate) fn step(&mut self, time: f64, seen: Option<&Measurement>) -> Result<Step> {
+        let step = self.tracker.step(time, seen, [0.0; 3]);
+        step.map_err(|error| Error::new(error.to_string()))
     }
 
     /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one, once this has
@@ -227,24 +215,14 @@ fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()>
     parameters.check().map_err(|error| Error::new(error.to_string()))
 }
 
-/// What a network says of a frame, as a tracker takes it: one pose or one of two, or None where the frame is flagged.
-pub(crate) struct Seen(Option<Measurement>);
-
-impl Seen {
-    /// Takes the outputs of a network.
-    ///
-    /// # Errors
-    /// They have no uncertainty, or one that a tracker cannot take.
-    pub(crate) fn of(outputs: &Outputs, meaning: &Meaning) -> Result<Self> {
-        if outputs.flagged(meaning) == Some(true) {
-            return Ok(Self(None));
-        }
-        measurement(outputs).map(Some).map(Self)
+/// What a network says of a frame, as a tracker takes it.
+///
+/// # Errors
+/// It has no uncertainty, or one that a tracker cannot take.
+pub(crate) fn measurement(outputs: &Outputs, meaning: &Meaning) -> Result<Measurement> {
+    if outputs.flagged(meaning) == Some(true) {
+        return Ok(Measurement::flagged());
     }
-}
-
-/// The measurement of a frame that is not flagged.
-fn measurement(outputs: &Outputs) -> Result<Measurement> {
     let said = outputs.uncertainty.as_ref().ok_or_else(|| {
         Error::new("expected a model that predicts uncertainty, got one that does not")
     })?;
@@ -264,11 +242,11 @@ fn measurement(outputs: &Outputs) -> Result<Measurement> {
 }
 
 /// The line of a frame; numbers are there while there is a track.
-fn told(step: &Step, reason: &str) -> Map<String, Value> {
+fn told(step: &Step) -> Map<String, Value> {
     let mut line = Map::new();
     let mut put = |name: &str, value: Value| line.insert(name.into(), value);
     put("accepted", json!(step.accepted));
-    put("reason", json!(reason));
+    put("reason", json!(step.outcome.name()));
     if let Some(one) = &step.estimate {
         let Estimate { position, orientation, velocity, rate, covariance } = one;
         let rows: [[f64; 12]; 12] = (*covariance).into();

@@ -1,8 +1,7 @@
 //! The tracker for Python: numbers in, a dictionary out.
 
 use ffpose_track::{
-    Axis, Error, Estimate, MODES, Measurement, Mode, Outcome, Parameters, Step, Symmetry,
-    TAG_BYTES, Tracker,
+    Axis, Error, Estimate, MODES, Measurement, Mode, Parameters, Step, Symmetry, TAG_BYTES, Tracker,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -47,15 +46,15 @@ impl PyTracker {
         PyBytes::new(py, &self.0.to_bytes(&tag))
     }
 
-    /// Move on to a frame at `time` that shows one of `poses`, or nothing where there is none.
+    /// Move on to a frame at `time` that shows one of `poses`, or not the object where there is none; None is no frame.
     fn step<'py>(
         &mut self,
         py: Python<'py>,
         time: f64,
-        poses: Vec<Pose>,
+        poses: Option<Vec<Pose>>,
         camera_rate: [f64; 3],
     ) -> PyResult<Bound<'py, PyDict>> {
-        let measurement = measured(&poses).map_err(raised)?;
+        let measurement = poses.map(|poses| measured(&poses)).transpose().map_err(raised)?;
         let step = self.0.step(time, measurement.as_ref(), camera_rate).map_err(raised)?;
         told(py, &step)
     }
@@ -83,9 +82,9 @@ fn modulo(tracker: Result<Tracker, Error>, axes: Axes) -> PyResult<PyTracker> {
     made.map(PyTracker).map_err(raised)
 }
 
-fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {
+fn measured(poses: &[Pose]) -> Result<Measurement, Error> {
     if poses.is_empty() {
-        return Ok(None);
+        return Ok(Measurement::flagged());
     }
     if poses.len() > MODES {
         return Err(Error::Modes { got: poses.len() });
@@ -95,12 +94,12 @@ fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {
     for (place, pose) in modes.iter_mut().zip(poses) {
         *place = mode(pose)?;
     }
-    Measurement::new(&modes[..poses.len()]).map(Some)
+    Measurement::new(&modes[..poses.len()])
 }
 
 fn told<'py>(py: Python<'py>, step: &Step) -> PyResult<Bound<'py, PyDict>> {
     let told = PyDict::new(py);
-    told.set_item("outcome", outcome(step.outcome))?;
+    told.set_item("outcome", step.outcome.name())?;
     told.set_item("accepted", step.accepted)?;
     told.set_item("nis", step.nis)?;
     told.set_item("mode", step.mode)?;
@@ -117,17 +116,6 @@ fn motion<'py>(py: Python<'py>, estimate: &Estimate) -> PyResult<Bound<'py, PyDi
     let covariance: [[f64; 12]; 12] = estimate.covariance.into();
     motion.set_item("covariance", covariance)?;
     Ok(motion)
-}
-
-fn outcome(outcome: Outcome) -> &'static str {
-    match outcome {
-        Outcome::Accepted => "accepted",
-        Outcome::Switched => "switched",
-        Outcome::Gated => "gated",
-        Outcome::Coasted => "coasted",
-        Outcome::Acquiring => "acquiring",
-        Outcome::Lost => "lost",
-    }
 }
 
 fn raised(error: Error) -> PyErr {

@@ -83,7 +83,13 @@ impl Display for Error {
             Self::Probability { got } => {
                 write!(f, "probability: expected a number in 0…1, got {got}")
             }
-            Self::Modes { got } => write!(f, "modes: expected 1 to {}, got {got}", crate::MODES),
+            Self::Modes { got } => {
+                write!(
+                    f,
+                    "modes: expected 1 to {} of a probability above 0, got {got}",
+                    crate::MODES
+                )
+            }
             Self::Parameter { name, expected, got } => {
                 write!(f, "{name}: expected {expected}, got {got}")
             }

@@ -99,7 +99,7 @@ impl Mode {
     }
 }
 
-/// What a frame says: one pose or several, of which one is true.
+/// What a frame says: one pose or several, of which one is true, or that it shows no object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
     modes: [Option<Mode>; MODES],
@@ -110,7 +110,7 @@ impl Measurement {
     ///
     /// # Errors
     ///
-    /// There are none, or too many.
+    /// There are none, or too many, or none has a probability above zero.
     pub fn new(modes: &[Mode]) -> Result<Self, Error> {
         if modes.is_empty() || modes.len() > MODES {
             return Err(Error::Modes { got: modes.len() });
@@ -119,7 +119,16 @@ impl Measurement {
         for (place, mode) in kept.iter_mut().zip(modes) {
             *place = Some(*mode).filter(|mode| mode.probability > 0.0);
         }
+        if kept.iter().all(Option::is_none) {
+            return Err(Error::Modes { got: 0 });
+        }
         Ok(Self { modes: kept })
+    }
+
+    /// Of a frame that does not show the object, as the network says (it is flagged).
+    #[must_use]
+    pub fn flagged() -> Self {
+        Self { modes: [None; MODES] }
     }
 
     /// The poses with the attitudes of their looks that are nearest to any that are expected; two that look alike become one.

@@ -90,65 +90,72 @@ const DIRECTION_TOLERANCE: f64 = 1e-3;
 /// By what share of its trace an inertia may be rounded.
 const INERTIA_TOLERANCE: f64 = 1e-6;
 
+/// A setting: its name, that of 1 in its unit to those who set it, what it may be, and its numbers.
+struct Setting<'a>(&'static str, f64, Range, &'a mut [f64]);
+
+/// What a number may be, in words and as a condition.
+type Range = (&'static str, fn(f64) -> bool);
+
+const AT_LEAST_0: Range = ("a finite number of at least 0", |x| x.is_finite() && x >= 0.0);
+const FINITE: Range = ("a finite number above 0", |x| x.is_finite() && x > 0.0);
+const ANGLE: Range = ("an angle above 0", FINITE.1);
+const SHARE: Range = ("a share above 0, up to 1", |x| x > 0.0 && x <= 1.0);
+const ABOVE_0: Range = ("a number above 0", |x| x > 0.0);
+const AT_LEAST_1: Range = ("a number of at least 1", |x| x >= 1.0);
+/// That of vectors, which are checked as such.
+const ANY: Range = ("a number", |_| true);
+
+const DEGREE: f64 = core::f64::consts::PI / 180.0;
+
 impl Parameters {
-    /// The numbers, in the order of the fields.
-    pub(crate) fn to_array(self) -> [f64; NUMBERS] {
-        let p = self;
-        let ([rx, ry, rz], [zx, zy, zz]) = (p.orbital_rate, p.zenith);
-        let [ixx, iyy, izz, ixy, ixz, iyz] = p.inertia;
+    /// The settings, in the order of a saved state.
+    fn settings(&mut self) -> [Setting<'_>; 18] {
+        let one = slice::from_mut::<f64>;
         [
-            p.acceleration,
-            p.angular_acceleration,
-            p.velocity,
-            p.rate,
-            p.position_angle,
-            p.attitude_angle,
-            p.position_noise,
-            p.attitude_noise,
-            p.gate,
-            p.tails,
-            p.agreeing,
-            p.coasting,
-            rx,
-            ry,
-            rz,
-            zx,
-            zy,
-            zz,
-            p.asymmetry,
-            ixx,
-            iyy,
-            izz,
-            ixy,
-            ixz,
-            iyz,
-            p.said_views,
-            p.ordinary_nis,
+            Setting("acceleration", 1.0, AT_LEAST_0, one(&mut self.acceleration)),
+            Setting(
+                "angular_acceleration",
+                DEGREE,
+                AT_LEAST_0,
+                one(&mut self.angular_acceleration),
+            ),
+            Setting("velocity", 1.0, FINITE, one(&mut self.velocity)),
+            Setting("rate", DEGREE, FINITE, one(&mut self.rate)),
+            Setting("position_angle", DEGREE, ANGLE, one(&mut self.position_angle)),
+            Setting("attitude_angle", DEGREE, ANGLE, one(&mut self.attitude_angle)),
+            Setting("position_noise", 1.0, SHARE, one(&mut self.position_noise)),
+            Setting("attitude_noise", 1.0, SHARE, one(&mut self.attitude_noise)),
+            Setting("gate", 1.0, ABOVE_0, one(&mut self.gate)),
+            Setting("tails", 1.0, ABOVE_0, one(&mut self.tails)),
+            Setting("agreeing", 1.0, AT_LEAST_1, one(&mut self.agreeing)),
+            Setting("coasting", 1.0, ABOVE_0, one(&mut self.coasting)),
+            Setting("orbital_rate", DEGREE, ANY, &mut self.orbital_rate),
+            Setting("zenith", 1.0, ANY, &mut self.zenith),
+            Setting("asymmetry", 1.0, AT_LEAST_0, one(&mut self.asymmetry)),
+            Setting("inertia", 1.0, ANY, &mut self.inertia),
+            Setting("said_views", 1.0, ABOVE_0, one(&mut self.said_views)),
+            Setting("ordinary_nis", 1.0, FINITE, one(&mut self.ordinary_nis)),
         ]
     }
 
-    /// The settings of [`Self::to_array`].
-    pub(crate) fn from_array(n: [f64; NUMBERS]) -> Self {
-        Self {
-            acceleration: n[0],
-            angular_acceleration: n[1],
-            velocity: n[2],
-            rate: n[3],
-            position_angle: n[4],
-            attitude_angle: n[5],
-            position_noise: n[6],
-            attitude_noise: n[7],
-            gate: n[8],
-            tails: n[9],
-            agreeing: n[10],
-            coasting: n[11],
-            orbital_rate: [n[12], n[13], n[14]],
-            zenith: [n[15], n[16], n[17]],
-            asymmetry: n[18],
-            inertia: [n[19], n[20], n[21], n[22], n[23], n[24]],
-            said_views: n[25],
-            ordinary_nis: n[26],
+    /// The numbers of all settings, in SI units and radians.
+    pub(crate) fn to_array(mut self) -> [f64; NUMBERS] {
+        let (mut numbers, mut at) = ([0.0; NUMBERS], 0);
+        for Setting(_, _, _, own) in self.settings() {
+            numbers[at..at + own.len()].copy_from_slice(own);
+            at += own.len();
         }
+        numbers
+    }
+
+    /// The settings of [`Self::to_array`].
+    pub(crate) fn from_array(numbers: [f64; NUMBERS]) -> Self {
+        let (mut all, mut at) = (Self::default(), 0);
+        for Setting(_, _, _, own) in all.settings() {
+            own.copy_from_slice(&numbers[at..at + own.len()]);
+            at += own.len();
+        }
+        all
     }
 
     /// Sets a setting by its name: a number, or those of a vector; angles and their rates in degrees.
@@ -157,33 +164,13 @@ impl Parameters {
     ///
     /// There is no such setting, or it has another number of numbers.
     pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), Error> {
-        const DEGREE: f64 = core::f64::consts::PI / 180.0;
-        let (place, unit): (&mut [f64], f64) = match name {
-            "acceleration" => (slice::from_mut(&mut self.acceleration), 1.0),
-            "angular_acceleration" => (slice::from_mut(&mut self.angular_acceleration), DEGREE),
-            "asymmetry" => (slice::from_mut(&mut self.asymmetry), 1.0),
-            "inertia" => (&mut self.inertia, 1.0),
-            "velocity" => (slice::from_mut(&mut self.velocity), 1.0),
-            "rate" => (slice::from_mut(&mut self.rate), DEGREE),
-            "position_angle" => (slice::from_mut(&mut self.position_angle), DEGREE),
-            "attitude_angle" => (slice::from_mut(&mut self.attitude_angle), DEGREE),
-            "position_noise" => (slice::from_mut(&mut self.position_noise), 1.0),
-            "attitude_noise" => (slice::from_mut(&mut self.attitude_noise), 1.0),
-            "gate" => (slice::from_mut(&mut self.gate), 1.0),
-            "tails" => (slice::from_mut(&mut self.tails), 1.0),
-            "said_views" => (slice::from_mut(&mut self.said_views), 1.0),
-            "ordinary_nis" => (slice::from_mut(&mut self.ordinary_nis), 1.0),
-            "agreeing" => (slice::from_mut(&mut self.agreeing), 1.0),
-            "coasting" => (slice::from_mut(&mut self.coasting), 1.0),
-            "orbital_rate" => (&mut self.orbital_rate, DEGREE),
-            "zenith" => (&mut self.zenith, 1.0),
-            _ => return Err(Error::Setting),
-        };
-        if place.len() != values.len() {
-            return Err(Error::Numbers { expected: place.len() });
+        let found = self.settings().into_iter().find(|setting| setting.0 == name);
+        let Setting(_, unit, _, own) = found.ok_or(Error::Setting)?;
+        if own.len() != values.len() {
+            return Err(Error::Numbers { expected: own.len() });
         }
-        for (place, value) in place.iter_mut().zip(values) {
-            *place = value * unit;
+        for (own, value) in own.iter_mut().zip(values) {
+            *own = value * unit;
         }
         Ok(())
     }
@@ -194,68 +181,10 @@ impl Parameters {
     ///
     /// A setting is out of its range, or not a number.
     pub fn check(&self) -> Result<(), Error> {
-        let finite = f64::is_finite;
-        let at_least_zero = |x: f64| finite(x) && x >= 0.0;
-        let above_zero = |x: f64| finite(x) && x > 0.0;
-        for (name, got, expected, accept) in [
-            (
-                "acceleration",
-                self.acceleration,
-                "a finite number of at least 0",
-                at_least_zero(self.acceleration),
-            ),
-            (
-                "angular_acceleration",
-                self.angular_acceleration,
-                "a finite number of at least 0",
-                at_least_zero(self.angular_acceleration),
-            ),
-            (
-                "asymmetry",
-                self.asymmetry,
-                "a finite number of at least 0",
-                at_least_zero(self.asymmetry),
-            ),
-            ("velocity", self.velocity, "a finite number above 0", above_zero(self.velocity)),
-            ("rate", self.rate, "a finite number above 0", above_zero(self.rate)),
-            (
-                "position_angle",
-                self.position_angle,
-                "an angle above 0",
-                above_zero(self.position_angle),
-            ),
-            (
-                "attitude_angle",
-                self.attitude_angle,
-                "an angle above 0",
-                above_zero(self.attitude_angle),
-            ),
-            (
-                "position_noise",
-                self.position_noise,
-                "a share above 0, up to 1",
-                share(self.position_noise),
-            ),
-            (
-                "attitude_noise",
-                self.attitude_noise,
-                "a share above 0, up to 1",
-                share(self.attitude_noise),
-            ),
-            ("gate", self.gate, "a number above 0", self.gate > 0.0),
-            ("tails", self.tails, "a number above 0", self.tails > 0.0),
-            ("said_views", self.said_views, "a number above 0", self.said_views > 0.0),
-            (
-                "ordinary_nis",
-                self.ordinary_nis,
-                "a finite number above 0",
-                above_zero(self.ordinary_nis),
-            ),
-            ("agreeing", self.agreeing, "a number of at least 1", self.agreeing >= 1.0),
-            ("coasting", self.coasting, "a number above 0", self.coasting > 0.0),
-        ] {
-            if !accept {
-                return Err(Error::Parameter { name, expected, got });
+        let mut all = *self;
+        for Setting(name, _, (expected, holds), own) in all.settings() {
+            if let Some(got) = own.iter().find(|number| !holds(**number)) {
+                return Err(Error::Parameter { name, expected, got: *got });
             }
         }
         self.check_body()?;
@@ -312,8 +241,4 @@ impl Parameters {
         }
         Ok(())
     }
-}
-
-fn share(x: f64) -> bool {
-    x > 0.0 && x <= 1.0
 }

@@ -9,7 +9,7 @@ use crate::symmetry::Symmetry;
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK5";
+const MAGIC: [u8; 8] = *b"FFTRACK6";
 
 /// Bytes that say whose track it is, such as the digest of a network's file and of the camera.
 pub const TAG_BYTES: usize = 32;
@@ -20,7 +20,7 @@ const OF_COVARIANCE: usize = MOTION * MOTION;
 const OF_CROSS: usize = MOTION * ERRORS;
 
 /// Numbers of a tracker.
-const NUMBERS: usize = parameters::NUMBERS + 1 + 3 + 1 + HYPOTHESES * OF_HYPOTHESIS;
+const NUMBERS: usize = parameters::NUMBERS + 2 + 3 + 1 + HYPOTHESES * OF_HYPOTHESIS;
 
 /// Bytes of a state.
 pub const STATE_BYTES: usize = MAGIC.len() + TAG_BYTES + 8 * NUMBERS + 8;
@@ -34,7 +34,7 @@ impl Tracker {
         writer.put(&MAGIC);
         writer.put(tag);
         writer.numbers(&self.parameters.to_array());
-        writer.numbers(&[self.time.unwrap_or(f64::NAN)]);
+        writer.numbers(&[self.time, self.looked].map(|time| time.unwrap_or(f64::NAN)));
         writer.numbers(self.camera_rate.as_slice());
         writer.numbers(&[self.leading.map_or(-1.0, |place| place as f64)]);
         for hypothesis in &self.hypotheses {
@@ -71,7 +71,7 @@ impl Tracker {
         let mut reader = Reader { bytes: body, at: MAGIC.len() + TAG_BYTES };
         let parameters = Parameters::from_array(reader.numbers());
         parameters.check()?;
-        let [time] = reader.numbers();
+        let [time, looked] = reader.numbers::<2>().map(|time| Some(time).filter(|t| t.is_finite()));
         let camera_rate = Vector3::from(reader.numbers::<3>());
         let [leading] = reader.numbers();
         let mut hypotheses = [None; HYPOTHESES];
@@ -87,7 +87,8 @@ impl Tracker {
         Ok(Self {
             parameters,
             symmetry: Symmetry::default(),
-            time: Some(time).filter(|t| t.is_finite()),
+            time,
+            looked,
             camera_rate,
             hypotheses,
             leading,

@@ -38,12 +38,30 @@ pub enum Outcome {
     Switched,
     /// It is too far from what was expected, and the track goes on without it.
     Gated,
-    /// It says nothing, and the track goes on without it.
+    /// It does not show the object ([`Measurement::flagged`]), and the track goes on without it.
+    Flagged,
+    /// There is none, and the track goes on without it.
     Coasted,
     /// There is no track yet.
     Acquiring,
     /// The track has gone too long without a frame that it could believe, or too many views spoke against it, and has ended.
     Lost,
+}
+
+impl Outcome {
+    /// The outcome in a word, as trajectories and lines have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Accepted => "accepted",
+            Self::Switched => "switched",
+            Self::Gated => "gated",
+            Self::Flagged => "flagged",
+            Self::Coasted => "coasted",
+            Self::Acquiring => "acquiring",
+            Self::Lost => "lost",
+        }
+    }
 }
 
 /// Motion of the object at the time of a frame.
@@ -118,6 +136,8 @@ pub struct Tracker {
     pub(crate) symmetry: Symmetry,
     /// Time of the last frame.
     pub(crate) time: Option<f64>,
+    /// Time of the last one that was looked at.
+    pub(crate) looked: Option<f64>,
     pub(crate) camera_rate: Vector3<f64>,
     pub(crate) hypotheses: [Option<Hypothesis>; HYPOTHESES],
     pub(crate) leading: Option<usize>,
@@ -135,6 +155,7 @@ impl Tracker {
             parameters,
             symmetry: Symmetry::default(),
             time: None,
+            looked: None,
             camera_rate: Vector3::zeros(),
             hypotheses: [None; HYPOTHESES],
             leading: None,
@@ -170,6 +191,7 @@ impl Tracker {
     /// Forgets all frames, and their times, as if it had seen none.
     pub fn reset(&mut self) {
         self.time = None;
+        self.looked = None;
         self.camera_rate = Vector3::zeros();
         self.hypotheses = [None; HYPOTHESES];
         self.leading = None;
@@ -180,7 +202,7 @@ impl Tracker {
     /// Times grow. Where nothing is followed any may come, and where no track leads one that is earlier by more than
     /// [`Parameters::coasting`]: of one wrong time no more is left than of a gap.
     ///
-    /// `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
+    /// `measurement` is None for a frame that never came. `camera_rate` is the camera's own angular velocity since the last frame,
     /// rad/s along its axes, where a gyro measures it; else zero.
     ///
     /// # Errors
@@ -209,8 +231,10 @@ impl Tracker {
         }
         let elapsed = self.time.map_or(0.0, |last| time - last);
         self.time = Some(time);
+        self.looked = measurement.map_or(self.looked, |_| Some(time));
         self.camera_rate = Vector3::from(camera_rate);
 
+        let poses = measurement.filter(|measurement| **measurement != Measurement::flagged());
         let before = self.leading;
         let mut frame = Frame {
             time,
@@ -219,17 +243,17 @@ impl Tracker {
             of_leader: None,
         };
         for place in 0..HYPOTHESES {
-            self.follow(place, elapsed, measurement, &mut frame);
+            self.follow(place, elapsed, poses, &mut frame);
         }
         // before a pose is followed in the place of a leader that has ended
         self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
         let kept = self.leading;
-        if let Some(measurement) = measurement {
+        if let Some(poses) = poses {
             let explained = frame.explained;
             let followed: [_; HYPOTHESES] =
                 from_fn(|place| self.hypotheses[place].as_ref().map(|one| one.filter.orientation));
-            let measurement = measurement.unfolded(&self.symmetry, &followed);
-            for (_, pose) in measurement.modes().filter(|(mode, _)| !explained[*mode]) {
+            let poses = poses.unfolded(&self.symmetry, &followed);
+            for (_, pose) in poses.modes().filter(|(mode, _)| !explained[*mode]) {
                 if let Some(place) = self.propose(pose, time) {
                     frame.corrected[place] = true;
                 }
@@ -237,7 +261,12 @@ impl Tracker {
         }
         self.unite();
         self.choose();
-        Ok(self.told([before, kept], measurement.is_some(), &frame))
+        let unbelieved = match (measurement, poses) {
+            (None, _) => Outcome::Coasted,
+            (_, None) => Outcome::Flagged,
+            _ => Outcome::Gated,
+        };
+        Ok(self.told([before, kept], unbelieved, &frame))
     }
 
     /// The motion at the time of the last frame; None without a track.
@@ -248,13 +277,13 @@ impl Tracker {
 
     /// Where to look for the object in a frame at `time`, seconds: its expected position, m, camera frame.
     ///
-    /// None where the whole frame must be searched: without a track, where the last frame did not correct it, or where the frame
-    /// comes too late or the object would be behind the camera. `camera_rate` is as for [`Self::step`].
+    /// None where the whole frame must be searched: without a track, where the last frame that came did not correct it, or where
+    /// this one comes too late or the object would be behind the camera. `camera_rate` is as for [`Self::step`].
     #[must_use]
     pub fn expected(&self, time: f64, camera_rate: [f64; 3]) -> Option<[f64; 3]> {
         let leader = self.hypotheses[self.leading?]?;
         let elapsed = time - self.time?;
-        if leader.last < self.time? || !(elapsed > 0.0 && elapsed <= self.parameters.coasting) {
+        if leader.last < self.looked? || !(elapsed > 0.0 && elapsed <= self.parameters.coasting) {
             return None;
         }
         let position =
@@ -384,8 +413,8 @@ impl Tracker {
         best.map(|(place, _)| place)
     }
 
-    /// What became of the frame, given who led before it and who of them it has left.
-    fn told(&self, [before, kept]: [Option<usize>; 2], measured: bool, frame: &Frame) -> Step {
+    /// What became of the frame, given who led before it and who of them it has left, and what it is where it corrects nothing.
+    fn told(&self, [before, kept]: [Option<usize>; 2], unbelieved: Outcome, frame: &Frame) -> Step {
         let estimate = self.estimate();
         let outcome = match (before, self.leading) {
             (None, None) => Outcome::Acquiring,
@@ -393,8 +422,7 @@ impl Tracker {
             (None, Some(_)) => Outcome::Accepted,
             (Some(_), now) if kept != now => Outcome::Switched,
             _ if frame.of_leader.is_some_and(|(_, _, accepted)| accepted) => Outcome::Accepted,
-            _ if measured => Outcome::Gated,
-            _ => Outcome::Coasted,
+            _ => unbelieved,
         };
         let of_leader = frame.of_leader.filter(|_| estimate.is_some());
         Step {

@@ -107,6 +107,8 @@ fn poses_that_are_none_are_refused() {
     );
     assert_eq!(told(at, UNIT, ONE, ONE, 1.5), "probability: expected a number in 0…1, got 1.5");
     assert_eq!(Measurement::new(&[]), Err(Error::Modes { got: 0 }));
+    let impossible = Mode::new(at, UNIT, ONE, ONE, 0.0).unwrap();
+    assert_eq!(Measurement::new(&[impossible; 2]), Err(Error::Modes { got: 0 }));
 }
 
 #[test]

@@ -260,7 +260,7 @@ class Tracker:
             time: Middle of the exposure, seconds; later than the frame before. Where no track leads
                 it may be earlier by more than ``coasting``, and where nothing is followed anything.
             pose: Pose of the object as a network with uncertainty gives it, a second orientation
-                included; None for a frame without one. A flagged pose says nothing.
+                included; None for a frame that never came. A flagged one corrects nothing.
             camera_rate: The camera's own angular velocity since the frame before, as a gyro
                 measures it ``(3,)``, deg/s along the camera's axes; zero with an orbital rate.
 
@@ -269,24 +269,21 @@ class Tracker:
             ValueError: The time is not later where it must be, the pose has no uncertainty, or a
                 covariance is not positive definite; nothing has changed then.
         """
-        rows = [] if pose is None else _modes(pose)
-        flagged = pose is not None and pose.flagged
-        turning = _turning(camera_rate)
-        told = self._tracker.step(float(time), [] if flagged else rows, turning)
-        outcome: Outcome = told["outcome"]
-        if flagged and outcome == "coasted":
-            outcome = "flagged"
+        poses = None if pose is None else _modes(pose)
+        if pose is not None and pose.flagged:
+            poses = []
+        told = self._tracker.step(float(time), poses, _turning(camera_rate))
         estimate = None if told["estimate"] is None else _estimate(told["estimate"])
         rest = told["nis"], told["mode"]
-        return Step(float(time), outcome, told["accepted"], estimate, *rest)
+        return Step(float(time), told["outcome"], told["accepted"], estimate, *rest)
 
     def expected(
         self, time: float, *, camera_rate: ArrayLike = (0.0, 0.0, 0.0)
     ) -> FloatArray | None:
         """Return where to look for the object in a frame at a time ``(3,)``, meters, camera frame.
 
-        None where the whole frame must be searched, as there is no track, or the last frame did not
-        correct it. Arguments are as for `step`.
+        None where the whole frame must be searched, as there is no track, or the last frame that
+        came did not correct it. Arguments are as for `step`.
         """
         point = self._tracker.expected(float(time), _turning(camera_rate))
         return None if point is None else np.array(point)
