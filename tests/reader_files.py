@@ -148,8 +148,6 @@ OF_PAGES = {
     "docs/scenes.md": {"camera.json": write_camera, "satellite.glb": write_mesh},
     "docs/training.md": {
         "URSO/soyuz_hard": write_set,
-        "camera.json": write_camera,
-        "satellite.glb": write_mesh,
         "stages.yaml": write_stages,
     },
 }

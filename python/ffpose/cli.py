@@ -694,8 +694,9 @@ def inspect(options: Namespace) -> None:
 def inspect_mesh(options: Namespace) -> None:
     """Describe and draw a mesh."""
     from ffpose.render.inspection import inspect_mesh as run
+    from ffpose.render.inspection import is_y_up
 
-    y_up = options.mesh.suffix.lower() in (".glb", ".gltf") and options.mesh_up == "z"
+    y_up = is_y_up(options.mesh, options.mesh_up)
     summary = run(craft_of(options), options.out, y_up=y_up)
     if options.json:
         show(summary)

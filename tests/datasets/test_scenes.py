@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sys
 import time
 
 import numpy as np
@@ -160,6 +161,28 @@ def test_a_full_disk_is_met_before_anything_is_rendered(tmp_path, scene, spec, r
         opened(tmp_path, scene, spec, count=10**11)
     assert met.value.errno == errno.ENOSPC
     assert rendered == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs posix_fallocate")
+def test_views_have_their_room_before_the_first_is_rendered(tmp_path, scene, spec, monkeypatch):
+    """A mapped file that finds no room later would kill the process."""
+    render, blocks = patches.render_patches, []
+
+    def measured(*arguments, **options):
+        files = [path.stat() for path in tmp_path.glob(".ffpose-*/*/*.npy")]
+        blocks.append([512 * each.st_blocks >= each.st_size for each in files])
+        return render(*arguments, **options)
+
+    monkeypatch.setattr(patches, "render_patches", measured)
+    opened(tmp_path, scene, spec, count=2)
+    assert blocks[0] == [True] * len(spec.shapes(2))
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_bar_shows_the_rendering_of_views(tmp_path, scene, spec, monkeypatch, capsys, quiet):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    opened(tmp_path, scene, spec, quiet=quiet)
+    assert ("rendering views" in capsys.readouterr().err) != quiet
 
 
 def test_another_process_that_was_faster_is_not_in_the_way(tmp_path, scene, spec, monkeypatch):

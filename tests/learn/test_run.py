@@ -3,7 +3,11 @@
 import errno
 import json
 import os
+import re
+import subprocess
+import sys
 from base64 import b64encode
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +23,7 @@ from ffpose._internal import files
 from ffpose._internal.files import sha256
 from ffpose._internal.zoo import resolve_initial
 from ffpose.cli import main
+from ffpose.errors import DataError
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.learn import plan, run
 from ffpose.learn.plan import (
@@ -298,13 +303,26 @@ def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):
     assert not run._exported(tmp_path)
 
 
+def interrupted(config, said):
+    """Learn by a run that is interrupted wherever it says something new, and goes on."""
+
+    def say(text):
+        if text not in said:
+            said.append(text)
+            raise KeyboardInterrupt
+
+    while True:
+        with suppress(KeyboardInterrupt):
+            return learn(config, say)
+
+
 @pytest.mark.slow
 def test_from_a_mesh_to_a_pose(tmp_path, quick):
-    """In small, of a plain box, which four attitudes show alike; a second run repeats nothing."""
+    """In small, of a plain box, which four attitudes show alike; a last run repeats nothing."""
     mesh, out, said = tmp_path / "box.stl", tmp_path / "out", []
     trimesh.creation.box((2.0, 1.0, 0.5)).export(mesh)
     config = LearnConfig(mesh, out, processes=1, test_images=6, card_images=0)
-    summary = learn(config, said.append)
+    summary = interrupted(config, said)
     assert summary["images"] == 6
     assert "box.stl, within" in said[1]
     assert "doubtful" not in said[1]
@@ -326,6 +344,57 @@ def test_from_a_mesh_to_a_pose(tmp_path, quick):
     assert [path.stat().st_mtime_ns for path in slow] == written
     with pytest.raises(ValueError, match=r"out: expected minutes 60.0 as the run in .* got 9"):
         learn(LearnConfig(mesh, out, 9, processes=1, test_images=6, card_images=0))
+
+
+LEARNER = """
+if __name__ == "__main__":  # what renders imports this file
+    import sys
+    from pathlib import Path
+    from ffpose.learn import run
+    from ffpose.learn.plan import Speed, TrainingPlan
+
+    run._exported = lambda out: True
+    run.measure_speed = lambda config, scene: (Speed(9.0, 99.0), "none")
+    run.plan_trainings = lambda *_: (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
+    run.write_evaluation_figures = run.write_report = lambda *_: None
+    given = dict(processes=1, test_images=2, card_images=0, symmetry="none")
+    config = run.LearnConfig(Path(sys.argv[1]), Path(sys.argv[2]), **given)
+    summary = run.learn(config, lambda text: print(text, flush=True))
+    print("ended with", len(summary) > 0, flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_processes_of_torchrun_train_together(tmp_path, mesh):
+    """One of them does all the rest."""
+    (tmp_path / "learner.py").write_text(LEARNER)
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    words, out = [str(tmp_path / "learner.py"), str(mesh), str(tmp_path / "out")], tmp_path / "out"
+    done = subprocess.run(
+        [*launch, *words], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("median errors") == 2  # the first answer's and the last
+    assert sorted(re.findall("ended with (.*)", done.stdout)) == ["False", "True"]
+    assert json.loads((out / "learn.json").read_text())["world"] == 2
+    for name in ("first", "second"):
+        assert "batch_size: 16\n" in (out / name / "config.yaml").read_text()
+    assert ffpose.load(out).metadata.config.object_radius_m > 0
+
+
+def test_the_others_end_with_the_one_that_leads_and_fail_with_a_training(monkeypatch):
+    told, config = [], SimpleNamespace(name="first")
+    group = SimpleNamespace(world=1, same=told.append)
+    monkeypatch.setattr(run, "train", lambda config, resume: config.name)
+    with run._leading(group) as train_together:
+        assert train_together(config) == "first"
+    assert told == [config, None]
+    with pytest.raises(DataError), run._leading(group):
+        raise DataError("no mesh")
+    assert told[2:] == [None]
+    with pytest.raises(AttributeError), run._leading(group) as train_together:
+        train_together(None)  # which the others have got, and fail at
+    assert told[3:] == [None]
 
 
 def _is_learned_from_the_mesh(out, mesh):
@@ -367,9 +436,12 @@ def test_a_poor_result_is_called_so():
     """A tenth of the constant's error is the border."""
     summary = {"median_translation_error_m": 0.5, "images": 10, "confusion": {"share": 0.0}}
     baseline = {"median_rotation_error_deg": 130.0, "confusion": {"share": 0.0}}
-    constant = {"mean_pose_baseline": baseline}
-    assert verdict(summary | constant | {"median_rotation_error_deg": 12.0}).startswith("median")
-    assert verdict(summary | constant | {"median_rotation_error_deg": 14.0}).startswith("POOR")
+    constant = {"mean_pose_baseline": baseline | {"median_translation_error_m": 5.1}}
+    good = summary | constant | {"median_rotation_error_deg": 12.0}
+    assert verdict(good).startswith("median")
+    assert "a constant pose has 130 degrees and 5.1 m" in verdict(good)
+    assert verdict(good | {"median_rotation_error_deg": 14.0}).startswith("POOR")
+    assert verdict(good | {"median_translation_error_m": 0.52}).startswith("POOR")
 
 
 def test_sides_that_are_taken_for_each_other_are_told():
@@ -377,7 +449,11 @@ def test_sides_that_are_taken_for_each_other_are_told():
         "median_translation_error_m": 0.5,
         "median_rotation_error_deg": 3.0,
         "images": 10,
-        "mean_pose_baseline": {"median_rotation_error_deg": 130.0, "confusion": {"share": 0.02}},
+        "mean_pose_baseline": {
+            "median_rotation_error_deg": 130.0,
+            "median_translation_error_m": 10.0,
+            "confusion": {"share": 0.02},
+        },
     }
     turn = {"rotation_vector_deg": [0.0, -90.0, 0.0]}
     told = verdict(summary | {"confusion": turn | {"share": 0.2}})
@@ -424,6 +500,7 @@ def test_an_error_that_a_rotation_explains_is_told_with_it():
         "mean_pose_baseline": {
             "median_rotation_error_deg": 135.0,
             "mean_rotation_error_deg": 125.0,
+            "median_translation_error_m": 10.0,
             "confusion": {"share": 0.02},
         },
         "confusion": {"share": 0.02},
@@ -540,7 +617,7 @@ def test_no_write_access_is_one_line(tmp_path, mesh, monkeypatch, capsys):
 def test_a_disk_that_fills_up_leaves_nothing_half_written(
     tmp_path, mesh, quick, monkeypatch, capsys, name
 ):
-    """The file that no longer fits is not there, others are whole, and the run goes on later."""
+    """The file that no longer fits is not there, and others are whole."""
     out, words = tmp_path / "out", ["learn", str(mesh), "--out", str(tmp_path / "out")]
     words += ["--processes", "1"]
 
@@ -548,8 +625,9 @@ def test_a_disk_that_fills_up_leaves_nothing_half_written(
         if path.name == name:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-    monkeypatch.setattr(files, "_sync", full)
-    assert "No space left on device" in error_of(capsys, words)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_sync", full)
+        assert "No space left on device" in error_of(capsys, words)
     written = [path for path in out.rglob("*") if path.is_file() and "views" not in path.parts]
     assert name not in {path.name for path in written}
     assert not list(out.rglob(".ffpose-*"))

@@ -12,7 +12,15 @@ from PIL import Image
 from ffpose.cli import main
 from ffpose.geometry.symmetry import IDENTITY
 from ffpose.render import inspection, load_craft
-from ffpose.render.inspection import DIRECTIONS, TILE, _view, inspect_mesh, studio_view
+from ffpose.render.inspection import (
+    DIRECTIONS,
+    TILE,
+    _view,
+    find_doubts,
+    inspect_mesh,
+    is_y_up,
+    studio_view,
+)
 from ffpose.render.spacecraft.craft import bounding_sphere
 from ffpose.render.symmetry import Symmetries
 
@@ -79,6 +87,17 @@ def test_colors_of_faces_are_those_of_their_material(tmp_path):
 )
 def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
     assert re.search(doubt, doubts(tmp_path, scale, **box))
+
+
+@pytest.mark.parametrize(
+    ("name", "up", "said"),
+    [("a.glb", "z", True), ("a.GLTF", "z", True), ("a.glb", "y", False), ("a.obj", "z", False)],
+)
+def test_a_format_whose_y_is_up_is_doubted(tmp_path, name, up, said):
+    trimesh.creation.box((2, 1, 1)).export(tmp_path / "box.ply")
+    y_up = is_y_up(tmp_path / name, up)
+    found = find_doubts(load_craft(tmp_path / "box.ply"), y_up=y_up)
+    assert ("--mesh-up y" in " ".join(found)) == y_up == said
 
 
 @pytest.mark.usefixtures("described")

@@ -12,8 +12,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -116,7 +118,7 @@ def cached_patches(
     folder: Path,
     count: int,
     spec: PatchSpec,
-    pieces: Callable[[], Iterator[Patches]],
+    pieces: Callable[[], Iterable[Patches]],
     begun: Arrays | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Return the patches in a folder; write them where it does not exist yet.
@@ -149,12 +151,11 @@ def digest(described: dict[str, Any]) -> str:
 
 
 def _store(
-    folder: Path, count: int, spec: PatchSpec, pieces: Iterator[Patches], begun: Arrays | None
+    folder: Path, count: int, spec: PatchSpec, pieces: Iterable[Patches], begun: Arrays | None
 ) -> None:
     """Write the patches to a temporary folder and rename it, so that all exist or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder.parent, older_than=BUILD_LIMIT_S)
-    # A mapped file on a full disk would kill the process.
     need = sum(
         math.prod(shape) * np.dtype(kind).itemsize for shape, kind in spec.shapes(count).values()
     )
@@ -167,6 +168,7 @@ def _store(
             name: np.lib.format.open_memmap(unfinished / f"{name}.npy", "w+", dtype, shape)
             for name, (shape, dtype) in spec.shapes(count).items()
         }
+        _reserve(unfinished)
         _fill(arrays, pieces, begun)
         del arrays
         try:
@@ -176,8 +178,16 @@ def _store(
                 raise
 
 
+def _reserve(folder: Path) -> None:
+    """Give files their room on the disk: a mapped one that finds none later kills the process."""
+    if sys.platform == "linux":  # others have no posix_fallocate
+        for path in folder.iterdir():
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+
+
 def _fill(
-    arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterator[Patches], begun: Arrays | None
+    arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterable[Patches], begun: Arrays | None
 ) -> None:
     first = 0
     if begun is not None:

@@ -9,6 +9,8 @@ copy. Needs the extra `render`.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from ffpose._internal.files import atomic_write
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.datasets.patches import cached_patches, digest, open_patches
-from ffpose.imaging.patches import Content, PatchSpec
+from ffpose.imaging.patches import Content, Patches, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 
 if TYPE_CHECKING:
@@ -34,16 +36,21 @@ def rendered_patches(
     *,
     content: Content = "object",
     workers: int,
+    quiet: bool = True,
 ) -> dict[str, NDArray[Any]]:
     """Return the patches of the scenes 0 ... ``count - 1``; render those that are not cached.
 
     A folder of more scenes has those of fewer, and one of fewer is where one of more begins. What
-    is in view is as for `ffpose.render.patches.render_patches`.
+    is in view is as for `ffpose.render.patches.render_patches`. Unless ``quiet``, a bar on standard
+    error shows how many are there.
 
     Raises:
         ffpose.DataError: A folder of patches is damaged.
         OSError: The disk is full.
     """
+    from rich.console import Console
+    from rich.progress import track
+
     from ffpose.render.patches import describe, render_all_patches
 
     name = f"views-{digest(describe(scene, seed, spec, content))}"
@@ -52,13 +59,19 @@ def rendered_patches(
     if enough is not None:
         return {part: array[:count] for part, array in open_patches(there[enough]).items()}
     fewer = max(there, default=0)
-    return cached_patches(
-        root / f"{name}-{count}",
-        count,
-        spec,
-        lambda: render_all_patches(scene, seed, range(fewer, count), spec, content, workers),
-        open_patches(there[fewer]) if fewer else None,
-    )
+
+    def pieces() -> Iterable[Patches]:
+        return track(
+            render_all_patches(scene, seed, range(fewer, count), spec, content, workers),
+            "rendering views",
+            count - fewer,
+            console=Console(stderr=True),
+            transient=True,
+            disable=quiet,
+        )
+
+    begun = open_patches(there[fewer]) if fewer else None
+    return cached_patches(root / f"{name}-{count}", count, spec, pieces, begun)
 
 
 def _folders(root: Path, name: str) -> dict[int, Path]:
@@ -114,27 +127,29 @@ def render_images(
 
 
 def open_strangers(
-    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing
+    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
 ) -> NDArray[np.uint8]:
     """Return whole images of other spacecraft ``(N, H, W, 3)``, of the network's input size.
 
     They are the scenes 0 ... ``count - 1``, each with one of random parts in the object's place.
     """
-    from ffpose.render.renderer import camera_of, shoot
-    from ffpose.render.spacecraft.decoys import build_decoy
+    from ffpose.render.processes import in_processes
 
     height, width = preprocessing.size
     described = {"scene": scene.parameters(), "seed": seed, "strangers": (width, height, count)}
     path = root / f"strangers-{digest(described)}.npy"
     if not path.exists():
-        camera = camera_of(scene, (width, height))
-        images = [
-            shoot(
-                scene.with_stranger(build_decoy(seed, index)), seed, index, camera, scene.sensor
-            ).image
-            for index in range(count)
-        ]
+        make = partial(_stranger, scene, seed, (width, height))
+        images = list(in_processes(make, range(count), workers))
         root.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as temporary:
             np.save(temporary, np.stack(images))
     return np.asarray(np.load(path, mmap_mode="r"))
+
+
+def _stranger(scene: Scene, seed: int, size: tuple[int, int], index: int) -> NDArray[np.uint8]:
+    from ffpose.render.renderer import camera_of, shoot
+    from ffpose.render.spacecraft.decoys import build_decoy
+
+    shown = scene.with_stranger(build_decoy(seed, index))
+    return shoot(shown, seed, index, camera_of(scene, size), scene.sensor).image

@@ -7,8 +7,8 @@ import math
 import shlex
 import shutil
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -57,13 +57,14 @@ from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
-from ffpose.render.inspection import find_doubts
+from ffpose.render.inspection import find_doubts, is_y_up
 from ffpose.render.renderer import MAX_SIDE, MIN_SIDE
 from ffpose.render.spacecraft.craft import bounding_sphere
 from ffpose.render.symmetry import Symmetries, find_symmetries
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import TrainResult, train
+from ffpose.training.processes import Processes, joined
 
 RECORD, SYMMETRY = "learn.json", "symmetry.json"
 WEIGHTS, GRAPH = "best.safetensors", "model.onnx"
@@ -82,7 +83,7 @@ TOLD_MODULO = 0.8
 constant pose's, below which it is told."""
 
 POOR = 0.1
-"""Share of a constant pose's rotation error above which the result is called poor."""
+"""Share of a constant pose's errors above which one of attitude or position is called poor."""
 
 CONFUSED = 0.1
 """Share of images that are off by one turn, above a constant pose's, from which it is told."""
@@ -103,7 +104,7 @@ class LearnConfig:
         distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
         processes: Processes that render and prepare batches, and of which up to four train
-            together, on GPUs one each; 0 for one a core.
+            together, on GPUs one each; 0 for one a core. Under ``torchrun`` its processes train.
         seed: Seed of everything.
         device: "auto" (a GPU if there is one) or a device that torch knows.
         test_images: Number of images of the test, which have `test_size`.
@@ -178,7 +179,8 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         say: Is told what is under way.
 
     Returns:
-        The summary of the test, with the constant pose's beside (`Evaluation.summary`).
+        The summary of the test, with the constant pose's beside (`Evaluation.summary`); nothing in
+        a process of ``torchrun`` that does not lead, and only trains.
 
     Raises:
         FileNotFoundError: There is no such mesh, or there are no such initial weights.
@@ -189,11 +191,44 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         OSError: The folder cannot be written, another process is at work in it, or the disk is
             full.
     """
-    with ExitStack() as folder:
-        return _learn(config, say, folder)
+    with joined(config.device) as group:
+        if group.leads:
+            with ExitStack() as folder, _leading(group) as train_together:
+                return _learn(config, say, folder, group.world, train_together)
+        while (training := group.same(None)) is not None:
+            train(training, resume=True)
+        return {}
 
 
-def _learn(config: LearnConfig, say: Say, folder: ExitStack) -> dict[str, Any]:
+@contextmanager
+def _leading(group: Processes) -> Iterator[Callable[[TrainConfig], TrainResult]]:
+    """Give a training by all processes of a group, and end the others with the block."""
+    free = True
+
+    def train_together(config: TrainConfig) -> TrainResult:
+        nonlocal free
+        if group.world > 1:
+            config = replace(config, processes=1)  # which are started already
+        group.same(config)
+        free = False  # where a training fails, it does in all
+        result = train(config, resume=True)
+        free = True
+        return result
+
+    try:
+        yield train_together
+    finally:
+        if free:
+            group.same(None)
+
+
+def _learn(
+    config: LearnConfig,
+    say: Say,
+    folder: ExitStack,
+    world: int,
+    train_together: Callable[[TrainConfig], TrainResult],
+) -> dict[str, Any]:
     """Do what `learn` does; ``folder`` holds the run's, from the start or where it is made."""
     began = time.monotonic()
     if there := config.out.is_dir():
@@ -237,7 +272,12 @@ def _learn(config: LearnConfig, say: Say, folder: ExitStack) -> dict[str, Any]:
         )
         return made if record.autocast is None else replace(made, autocast=record.autocast)
 
-    record.world = record.world or training_processes(config.device, processes)
+    if world == 1:
+        world = record.world or training_processes(config.device, processes)
+    expect(
+        record.world in (None, world), "processes", f"{record.world} that train, as before", world
+    )
+    record.world = world
     if symmetries is not None:
         say("measuring the speed of this machine")
         speed, record.autocast = measure_speed(
@@ -251,7 +291,7 @@ def _learn(config: LearnConfig, say: Say, folder: ExitStack) -> dict[str, Any]:
     assert record.speed is not None
     first, second = record.plans
     rendering = time.monotonic()
-    early = train(configured(first, initial), resume=True)
+    early = train_together(configured(first, initial))
     if not (config.out / WEIGHTS).exists():
         copy_weights(early.folder.best, config.out / WEIGHTS)
         spent = (time.monotonic() - began) / 60
@@ -264,7 +304,7 @@ def _learn(config: LearnConfig, say: Say, folder: ExitStack) -> dict[str, Any]:
             say(f"slower than planned: second training {_told(second)}")
             record.plans = (first, second)
             record.write(config.out)
-    final = train(configured(second, early.folder.best), resume=True)
+    final = train_together(configured(second, early.folder.best))
     copy_weights(final.folder.best, config.out / WEIGHTS)
     evaluation = _tested(config, scene_file, _unfolded(folds, group), processes, say)
     summary = evaluation.summary()
@@ -361,7 +401,8 @@ def _planned(
     # Those that are not folded, as --symmetry says otherwise, are told too.
     others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
     told = [f"{'not folded':16}{each}" for each in others]
-    doubts = [f"{'doubtful':16}{each}" for each in find_doubts(scene.scene().build())]
+    found = find_doubts(scene.scene().build(), y_up=is_y_up(config.mesh, config.mesh_up))
+    doubts = [f"{'doubtful':16}{each}" for each in found]
     return "\n".join(chosen + told + doubts)
 
 
@@ -442,10 +483,9 @@ def _exported(out: Path) -> bool:
 
 def verdict(summary: dict[str, Any]) -> str:
     """Return the result in a sentence or two, and where it is poor what to change."""
-    error, constant = (
-        source["median_rotation_error_deg"] for source in (summary, summary["mean_pose_baseline"])
-    )
-    meters = summary["median_translation_error_m"]
+    sources = summary, summary["mean_pose_baseline"]
+    error, constant = (source["median_rotation_error_deg"] for source in sources)
+    meters, constant_m = (source["median_translation_error_m"] for source in sources)
     plain = summary.get("without_symmetry")
     modulo = (
         ""
@@ -454,7 +494,7 @@ def verdict(summary: dict[str, Any]) -> str:
     )
     text = (
         f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
-        f" unseen images; a constant pose has {constant:.0f} degrees"
+        f" unseen images; a constant pose has {constant:.0f} degrees and {constant_m:.3g} m"
     )
     for each in summary.get("modulo_unfolded", []):
         constants = summary["mean_pose_baseline"], each["mean_pose_baseline"]
@@ -482,7 +522,7 @@ def verdict(summary: dict[str, Any]) -> str:
                 f" {1 - modes['share_over_30_deg_of_both'] / modes['share_over_30_deg']:.0%} the"
                 " second attitude that poses tell is right"
             )
-    if error <= POOR * constant:
+    if error <= POOR * constant and meters <= POOR * constant_m:
         return text
     return (
         f"POOR: {text}. What helps: more --minutes; nearer --distance; a narrower --attitude-range"

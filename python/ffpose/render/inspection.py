@@ -20,6 +20,7 @@ from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
 from ffpose.render.spacecraft.materials import SLOTS
+from ffpose.render.spacecraft.meshfile import Up
 from ffpose.render.symmetry import find_symmetries
 
 TILE, COLUMNS, CAPTION = 320, 4, 22
@@ -75,7 +76,7 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
     Args:
         craft: The spacecraft.
         out: The folder to write; created if missing.
-        y_up: Whether its file's format says that y is up, and z is not y.
+        y_up: As of `find_doubts`.
 
     Returns:
         The contents of ``summary.json``: ``size_m`` by axis, ``triangles``, ``materials``,
@@ -86,11 +87,7 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
         and ``doubts``, sentences that name the option that mends each.
     """
     summary = _measured(craft)
-    summary["doubts"] = _doubts(craft, summary)
-    if y_up:
-        summary["doubts"].append(
-            "glTF files have y up, and their axes are the object frame's: --mesh-up y turns y to z"
-        )
+    summary["doubts"] = _doubts(craft, summary, y_up)
     try:
         summary["symmetry"] = find_symmetries(craft).to_json()
     except ValueError as error:
@@ -104,9 +101,17 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
     return summary
 
 
-def find_doubts(craft: Craft) -> list[str]:
-    """Return what may be wrong with a mesh, each with the option that mends it."""
-    return _doubts(craft, _measured(craft))
+def is_y_up(mesh: Path, up: Up) -> bool:
+    """Return whether a mesh file's format has y up, and its axes are those of the object."""
+    return mesh.suffix.lower() in (".glb", ".gltf") and up == "z"
+
+
+def find_doubts(craft: Craft, *, y_up: bool = False) -> list[str]:
+    """Return what may be wrong with a mesh, each with the option that mends it if one does.
+
+    ``y_up``: whether `is_y_up` holds of its file.
+    """
+    return _doubts(craft, _measured(craft), y_up)
 
 
 def _measured(craft: Craft) -> dict[str, Any]:
@@ -222,7 +227,7 @@ def _material(craft: Craft, number: int) -> dict[str, Any]:
     }
 
 
-def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
+def _doubts(craft: Craft, summary: dict[str, Any], y_up: bool) -> list[str]:
     doubts = []
     across = 2 * summary["radius_m"]
     if not SMALLEST_M <= across <= LARGEST_M:
@@ -265,5 +270,9 @@ def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
                 if hidden
                 else "which is drawn as its front is"
             )
+        )
+    if y_up:
+        doubts.append(
+            "glTF files have y up, and their axes are the object frame's: --mesh-up y turns y to z"
         )
     return doubts

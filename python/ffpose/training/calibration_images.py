@@ -108,7 +108,9 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         for what, (part, _) in parts.items()
     )
     seeds["another spacecraft"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
-    strangers = open_strangers(config.root, scene, seed, count, preprocessing)
+    strangers = open_strangers(
+        config.root, scene, seed, count, preprocessing, workers=config.workers
+    )
     about = [
         {"shows": what, "scene": scene.name, "seed": seed, "count": count}
         for what, seed in seeds.items()

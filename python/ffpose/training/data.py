@@ -60,18 +60,24 @@ class TrainingData:
 
 
 def open_training_data(
-    config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing, *, coordinates: bool
+    config: DataConfig,
+    model: NetworkConfig,
+    preprocessing: Preprocessing,
+    *,
+    coordinates: bool,
+    quiet: bool = True,
 ) -> TrainingData:
     """Open the images that ``config`` names, as the network looks at them.
 
-    ``coordinates``: whether a network with a second look learns the object's coordinates.
+    ``coordinates``: whether a network with a second look learns the object's coordinates;
+    ``quiet``: whether no bar shows how far the rendering of its views is.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: An image or a label cannot be used.
     """
     if config.kind == "scenes":
-        return _scenes(config, model, preprocessing)
+        return _scenes(config, model, preprocessing, quiet)
     fits = config.mode == "resize" or not looks_twice(model)
     expect(fits, "data.mode", "resize, with a network that looks twice", config.mode)
     train_set, val_set = _open_splits(config, preprocessing, calibrated=looks_twice(model))
@@ -141,7 +147,9 @@ def _open_splits(
     return train_set, val_set
 
 
-def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing) -> TrainingData:
+def _scenes(
+    config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing, quiet: bool
+) -> TrainingData:
     """Render what is not there yet."""
     shown = [find_scene(name, config.attitude_range_deg) for name in config.scenes]
     scenes = [scene.scaled(*config.distance) for scene in shown]
@@ -170,13 +178,20 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
         return TrainingData(train_set.poses, val_set, camera, train_set)
     spec = patch_spec(model, camera)
     patches: list[Arrays] = [
-        rendered_patches(config.root, *part, spec, workers=workers) for part in parts
+        rendered_patches(config.root, *part, spec, workers=workers, quiet=quiet) for part in parts
     ]
     seed = matching(TRAINING, config.seed + EMPTY_SEEDS)
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
         rendered_patches(
-            config.root, scenes[0], seed, count, spec, content=content, workers=workers
+            config.root,
+            scenes[0],
+            seed,
+            count,
+            spec,
+            content=content,
+            workers=workers,
+            quiet=quiet,
         )
         for content, count in others
         if count > 0

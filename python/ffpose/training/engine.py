@@ -118,7 +118,7 @@ def _train(
         folder = RunFolder(config.out)
         state = folder.open(config, resume=resume)
         resumed = read_metadata(folder.last) if state.history else None
-        run = build_run(config, processes, resumed=resumed)
+        run = build_run(config, processes, resumed=resumed, quiet=quiet)
         if resumed is not None:
             _restore(run, state, resumed)
         if processes.leads:

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import timedelta
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, distributed, nn
@@ -42,6 +42,8 @@ LONGEST_WAIT = timedelta(days=7)
 """For what one process does alone, such as rendering; where one dies, its connections close."""
 
 JOINED = "joined"
+
+T = TypeVar("T")
 
 _others: list[BaseProcess] = []
 """What `started` has started beside this process, which waits until all of them have joined."""
@@ -76,6 +78,13 @@ class Processes:
         """Wait until every process is here."""
         if self.world > 1:
             distributed.barrier(self.patient)
+
+    def same(self, what: T) -> T:
+        """Return what process 0 gives, which can be pickled; the others wait for it."""
+        box = [what]
+        if self.world > 1:
+            distributed.broadcast_object_list(box, 0, group=self.patient)
+        return box[0]
 
     def total(self, values: Tensor) -> Tensor:
         """Return the sum of all processes' values."""

@@ -69,7 +69,11 @@ class Run:
 
 
 def build_run(
-    config: TrainConfig, processes: Processes = ALONE, *, resumed: WeightsMetadata | None = None
+    config: TrainConfig,
+    processes: Processes = ALONE,
+    *,
+    resumed: WeightsMetadata | None = None,
+    quiet: bool = True,
 ) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
@@ -78,6 +82,7 @@ def build_run(
         processes: This process's place among those that train together.
         resumed: Header of the last weights of a run that is resumed. Neither the backbone's
             pretrained weights nor the initial weights are read then: the checkpoint has all.
+        quiet: As of `open_training_data`.
 
     Raises:
         FileNotFoundError: There are no such initial weights.
@@ -107,7 +112,11 @@ def build_run(
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     with processes.leader_first():  # who renders and fills caches
         data = open_training_data(
-            config.data, model_config, preprocessing, coordinates=config.object_loss.renders
+            config.data,
+            model_config,
+            preprocessing,
+            coordinates=config.object_loss.renders,
+            quiet=quiet,
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
