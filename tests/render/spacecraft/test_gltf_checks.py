@@ -2,6 +2,7 @@
 
 import tracemalloc
 import warnings
+from contextlib import contextmanager
 
 import DracoPy
 import numpy as np
@@ -69,6 +70,17 @@ def refused(folder, *change):
     return caught.value.message
 
 
+@contextmanager
+def little_memory(most):
+    """Expect that no more bytes than these are taken at any time."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
 PRIMITIVE = ("meshes", 0, "primitives", 0)
 
 
@@ -103,6 +115,30 @@ def test_what_is_not_read_may_hold_anything(tmp_path):
     for place in (("extras",), ("nodes", 0, "extras"), ("extensions", "VRM")):
         craft = changed(tmp_path, place, {"mesh": -1, "roughnessFactor": 7, "far": np.inf})
         assert len(craft.mesh.faces) == 4
+
+
+@pytest.mark.parametrize("name", ["KHR_materials_acme", "KHR_materials_ior_2"])
+def test_a_required_extension_that_is_not_known_is_named(tmp_path, name):
+    message = refused(tmp_path, ("extensionsRequired",), ["KHR_materials_ior", name])
+    assert message == f"expected glTF extensions that are known, got one that needs {name}"
+
+
+def test_what_is_left_out_of_materials_is_told_once(tmp_path, caplog):
+    header, contents = tetrahedron()
+    material = {
+        "KHR_materials_clearcoat": {"clearcoatFactor": 1},
+        "KHR_materials_ior": {"ior": 1.4},
+        "KHR_materials_transmission": {"transmissionTexture": {"index": 0}},
+        "KHR_materials_volume": {"thicknessFactor": 1},
+        "KHR_xmp_json_ld": {"packet": 0},
+    }
+    header["extensionsRequired"] = list(material)
+    header["materials"] = [{"extensions": {**material, "ACME_materials_rust": {}}}] * 2
+    load(tmp_path, header, contents)
+    left_out = "ACME_materials_rust, KHR_materials_clearcoat, KHR_materials_volume"
+    left_out += ", transmissionTexture of KHR_materials_transmission"
+    file = tmp_path / "bus.glb"
+    assert caplog.messages == [f"{file}: extensions of materials are left out: {left_out}"]
 
 
 MATERIAL = ("materials", 0)
@@ -210,19 +246,59 @@ def test_vertices_are_counted_before_they_are_read(tmp_path, sparse, name, targe
         mesh["weights"] = [0.5]
     else:
         mesh["primitives"][0]["attributes"][name] = 2
-    tracemalloc.start()
-    try:
-        with pytest.raises(DataError, match="at most 6000000 vertices, got 1500000000"):
-            load(tmp_path, header, contents)
-        assert tracemalloc.get_traced_memory()[1] < 16 * MIB
-    finally:
-        tracemalloc.stop()
+    with (
+        little_memory(16 * MIB),
+        pytest.raises(DataError, match="at most 6000000 vertices, got 1500000000"),
+    ):
+        load(tmp_path, header, contents)
 
 
-def test_copies_are_counted_before_they_are_read(tmp_path):
+def copied(header, *counts, mesh=0):
+    """Return a node of copies of a mesh, all at one place, by attributes of these counts."""
+    names, first = ("TRANSLATION", "ROTATION"), len(header["accessors"])
+    for count, kind in zip(counts, ("VEC3", "VEC4"), strict=False):
+        header["accessors"].append({"componentType": 5126, "count": count, "type": kind})
+    numbers = {name: first + k for k, name in enumerate(names[: len(counts)])}
+    return {"mesh": mesh, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": numbers}}}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "copies", "triangles"),
+    [(1, 1_500_000_000, 4), (3, 2_000_000, 1000), (2000, 1_000_000, 4)],
+    ids=["many copies", "copies of many triangles", "many nodes"],
+)
+def test_copies_are_counted_before_they_are_placed(tmp_path, nodes, copies, triangles):
     header, contents = tetrahedron()
-    header["accessors"].append({"componentType": 5126, "count": 1_500_000_000, "type": "VEC3"})
-    copies = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}
-    header["nodes"][0]["extensions"] = copies
-    with pytest.raises(DataError, match="at most 2000000 copies of a mesh, got 1500000000"):
+    header["accessors"].append({"componentType": 5125, "count": 3 * triangles, "type": "SCALAR"})
+    header["meshes"][0]["primitives"][0]["indices"] = 2
+    header["nodes"] = [copied(header, copies)] * nodes
+    header["scenes"] = [{"nodes": list(range(nodes))}]
+    message = f"at most 2000000 triangles, got {nodes * copies * triangles}$"
+    with little_memory(32 * MIB), pytest.raises(DataError, match=message):
+        load(tmp_path, header, contents)
+
+
+def test_any_number_of_copies_of_what_has_no_faces_takes_no_room(tmp_path):
+    header, contents = tetrahedron()
+    header["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]})
+    header["nodes"].append(copied(header, 1_500_000_000, mesh=1))
+    header["scenes"] = [{"nodes": [0, 1]}]
+    with little_memory(32 * MIB):
+        assert len(load(tmp_path, header, contents).mesh.faces) == 4
+
+
+def test_copies_whose_attributes_disagree_are_refused(tmp_path):
+    header, contents = tetrahedron()
+    header["nodes"] = [copied(header, 3, 2)]
+    message = "expected as many values of each attribute of a mesh's copies, got 2 and 3"
+    with pytest.raises(DataError, match=message):
+        load(tmp_path, header, contents)
+
+
+def test_copies_of_what_draco_compressed_are_counted_by_its_own_triangles(tmp_path, monkeypatch):
+    monkeypatch.setattr("ffpose.render.spacecraft.meshfile.MAX_FACES", 10)
+    header, contents = draco(DracoPy.encode(POINTS, FACES, quantization_bits=20))
+    header["accessors"][1]["count"] = 3  # one triangle of the four
+    header["nodes"] = [copied(header, 3)]
+    with pytest.raises(DataError, match="at most 10 triangles, got 12"):
         load(tmp_path, header, contents)

@@ -159,8 +159,27 @@ def test_texture_transform_and_wrap(tmp_path):
     np.testing.assert_allclose(quarter(craft, True, True), (0, 0, 1), atol=0.02)
 
 
-def test_a_second_set_of_coordinates(tmp_path):
-    file = textured(QUARTERS.repeat(8, 0).repeat(8, 1), {"texCoord": 1})
+@pytest.mark.parametrize(
+    ("offset", "color"), [([1, 0], (0, 1, 0)), ([0, 1], (0, 0, 1)), ([1, 1], (1, 1, 1))]
+)
+def test_a_mirrored_texture_goes_on_from_its_other_end(tmp_path, offset, color):
+    """Moved by its own size, the upper left shows the corner beside, below, or across."""
+    pixels = QUARTERS.repeat(8, 0).repeat(8, 1)
+    change = {"extensions": {"KHR_texture_transform": {"offset": offset}}}
+    craft = textured(pixels, change, wrapS=33648, wrapT=33648).load(tmp_path)
+    np.testing.assert_allclose(quarter(craft, True, True), color, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "slot",
+    [
+        {"texCoord": 1},
+        {"texCoord": 0, "extensions": {"KHR_texture_transform": {"texCoord": 1}}},
+    ],
+    ids=["slot", "transform"],
+)
+def test_a_second_set_of_coordinates(tmp_path, slot):
+    file = textured(QUARTERS.repeat(8, 0).repeat(8, 1), slot)
     file.attributes["TEXCOORD_1"] = file.accessor(PLACES[:, ::-1].copy())
     np.testing.assert_allclose(quarter(file.load(tmp_path), True, False), (0, 0, 1), atol=0.02)
 
@@ -186,6 +205,33 @@ def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
     file.header["nodes"][0]["extensions"] = {"KHR_node_visibility": {"visible": False}}
     with pytest.raises(DataError, match="expected triangles, got none"):
         file.load(tmp_path)
+
+
+def test_copies_have_places_of_their_own_and_a_mirror_keeps_outside_out(tmp_path):
+    """One is mirrored, the other as long again and turned by a quarter about x."""
+    file = textured(QUARTERS)
+    file.attributes["NORMAL"] = file.accessor(np.tile(np.float32([0, 0, 1]), (4, 1)))
+    file.attributes["COLOR_0"] = file.accessor(np.eye(4, 3, dtype=np.float32))
+    half = np.sqrt(0.5)
+    places = {
+        "TRANSLATION": [[0, 0, 0], [0, 0, 4]],
+        "ROTATION": [[0, 0, 0, 1], [half, 0, 0, half]],
+        "SCALE": [[-1, 1, 1], [2, 1, 1]],
+    }
+    attributes = {name: file.accessor(np.float32(values)) for name, values in places.items()}
+    copies = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    file.header["nodes"] = [{"mesh": 0, "translation": [10, 0, 0], "extensions": copies}]
+    mesh = file.load(tmp_path).mesh
+    x, y, _ = SQUARE.T
+    np.testing.assert_allclose(mesh.vertices[:4], np.stack([10 - x, y, 0 * x], 1), atol=1e-6)
+    turned = np.stack([10 + 2 * x, 0 * x, 4 + y], 1)
+    np.testing.assert_allclose(mesh.vertices[4:], turned, atol=1e-6)
+    outward = np.array([[0, 0, 1]] * 2 + [[0, -1, 0]] * 2)
+    np.testing.assert_allclose(mesh.face_normals / [[4], [4], [8], [8]], outward, atol=1e-6)
+    normals = outward[:, None].repeat(3, axis=1)
+    np.testing.assert_allclose(mesh.corner_normals, normals, atol=1e-6)
+    for values in (mesh.layers[0], mesh.colors):
+        np.testing.assert_array_equal(values[:2, ::-1], values[2:])
 
 
 def skinned(**skin):
@@ -423,6 +469,28 @@ def test_factors_and_extensions_of_materials(tmp_path):
     assert file.load(tmp_path, two_sided=True).materials[0].two_sided
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("unlit", {}, {"roughness": 1, "metallic": 0, "reflectance": (0, 0, 0)}),
+        ("transmission", {"transmissionFactor": 0.5}, {"alpha": 0.55, "roughness": 0.4}),
+        (  # of 4 % that the index 1.5 reflects, and of no more than all
+            "specular",
+            {"specularFactor": 0.5, "specularColorFactor": [1, 0.5, 50]},
+            {"reflectance": (0.02, 0.01, 0.5), "metallic": 0.7},
+        ),
+    ],
+)
+def test_an_extension_changes_what_it_says_and_nothing_else(tmp_path, name, values, expected):
+    file = File()
+    color = {"baseColorFactor": [0.5, 0.25, 0.1, 1], "metallicFactor": 0.7, "roughnessFactor": 0.4}
+    file.material(pbrMetallicRoughness=color, extensions={f"KHR_materials_{name}": values})
+    (material,) = file.load(tmp_path).materials
+    assert material.color == (0.5, 0.25, 0.1)
+    for field, value in expected.items():
+        assert getattr(material, field) == pytest.approx(value)
+
+
 def test_a_texture_of_specular_reflectances_stands_for_its_mean(tmp_path):
     """Its factor is one where the file names none, which by itself is that of a mirror."""
     file = File()
@@ -473,6 +541,31 @@ def test_a_normal_map_leans_right_and_up(tmp_path):
     file.material(normalTexture={"index": file.texture(np.full((4, 4, 3), code))})
     surface, _ = seen(file.load(tmp_path))
     np.testing.assert_allclose(surface.normal.mean(axis=1), (0, 0.6, 0.8), atol=0.01)
+
+
+def test_a_texture_of_emission_multiplies_its_factor(tmp_path):
+    """Code 128 stands for 0.2159 of the light of 255."""
+    file = File()
+    number = file.texture(np.full((4, 4, 3), (255, 128, 0)))
+    file.material(emissiveTexture={"index": number}, emissiveFactor=[0.5, 1, 1])
+    surface, _ = seen(file.load(tmp_path))
+    np.testing.assert_allclose(surface.emission.mean(axis=1), (0.5, 0.2159, 0), atol=1e-3)
+
+
+@pytest.mark.parametrize("other", [True, False], ids=["beside another", "alone"])
+def test_a_texture_in_webp_is_read(tmp_path, other):
+    file = textured(np.full((4, 4, 3), (255, 0, 0)))
+    blue = io.BytesIO()
+    Image.new("RGB", (4, 4), (0, 0, 255)).save(blue, "WEBP", lossless=True)
+    file.header["images"].append(
+        {"bufferView": file.view(blue.getvalue()), "mimeType": "image/webp"}
+    )
+    (texture,) = file.header["textures"]
+    texture["extensions"] = {"EXT_texture_webp": {"source": 1}}
+    if not other:
+        del texture["source"]
+    surface, _ = seen(file.load(tmp_path))
+    np.testing.assert_allclose(surface.color.mean(axis=1), (0, 0, 1), atol=1e-3)
 
 
 @pytest.mark.parametrize(("mode", "share"), [("OPAQUE", 1.0), ("MASK", 0.5), ("BLEND", 0.625)])
@@ -557,6 +650,41 @@ def test_levels_keep_the_mean_and_a_large_texture_is_averaged_down():
     for number in range(6):
         level = pyramid.level(number).astype(np.float64)
         np.testing.assert_allclose(level.mean(axis=(0, 1))[:3], mean, rtol=1e-3)
+
+
+def test_a_wide_texture_is_averaged_down_to_the_longest_side(tmp_path):
+    """Of 8192 columns that are black and white by turns, 4096 have half of the light."""
+    columns = np.arange(8192) % 2 * 255
+    craft = textured(np.broadcast_to(columns[:, None], (16, 8192, 3))).load(tmp_path)
+    image = craft.materials[0].color_map.image
+    assert (image.width, image.height) == (4096, 16)
+    np.testing.assert_allclose(image.level(0)[..., :3], 0.5, atol=1e-3)
+
+
+def test_all_that_is_made_of_an_image_counts_toward_the_memory_of_textures(tmp_path, monkeypatch):
+    """Of one image colors with two thresholds, normals with two scales, and light, thrice."""
+    monkeypatch.setattr("ffpose.render.spacecraft.textures.BUDGET", 1 << 20)
+    file = File()
+    file.texture(np.random.default_rng(0).integers(0, 256, (256, 256, 3)))
+    file.header["samplers"] = [{"wrapS": wrap} for wrap in (10497, 33071, 33648)]
+    file.header["textures"] = [{"source": 0, "sampler": number} for number in range(3)]
+    primitives = file.header["meshes"][0]["primitives"] = []
+    for number in range(3):
+        for share in (0.25, 0.5):
+            file.material(
+                pbrMetallicRoughness={"baseColorTexture": {"index": number}},
+                normalTexture={"index": number, "scale": share},
+                emissiveTexture={"index": number},
+                alphaMode="MASK",
+                alphaCutoff=share,
+            )
+            primitives.append(dict(file.primitive))
+    craft = file.load(tmp_path)
+    images = {texture.image for material in craft.materials for texture in material.maps}
+    assert len(images) == 3 * (2 + 2 + 1)
+    assert sum(image.texels.nbytes for image in images) <= 1 << 20
+    # Each with sides of 128 would take 175 kB, and all of them 2.6 MB.
+    assert {(image.width, image.height) for image in images} == {(64, 64)}
 
 
 def test_up_and_center_move_the_object_frame(tmp_path):

@@ -3,10 +3,11 @@
 import base64
 import io
 import json
+import weakref
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFile
 
 import glb
 from ffpose.datasets.patches import digest
@@ -188,6 +189,42 @@ def test_an_mtl_files_color_and_texture(tmp_path, paint, light):
     np.testing.assert_allclose(face_codes(craft), codes(light), atol=CODES)
 
 
+@pytest.mark.parametrize(
+    ("paint", "field", "value"),
+    [
+        ("Ks 0.5 0.25 1", "reflectance", (0.04, 0.02, 0.08)),  # one stands for 8 %
+        ("Ns 30", "roughness", 0.5),  # the fourth root of 2 / (30 + 2)
+        ("Ns 30\nPr 0.3", "roughness", 0.3),
+        ("Pm 0.75", "metallic", 0.75),
+        ("Ke 2 1 0.5", "emission", (2, 1, 0.5)),
+        ("map_Ke two.png", "emission", (1, 1, 1)),  # Blender writes no Ke beside a texture
+        ("d 0.25", "alpha", 0.25),
+        ("Tr 0.75", "alpha", 0.25),
+    ],
+)
+def test_an_mtl_files_numbers(tmp_path, paint, field, value):
+    (material,) = load_craft(write_obj(tmp_path, paint=paint)).materials
+    assert getattr(material, field) == pytest.approx(value)
+
+
+def test_an_mtl_files_textures_of_roughness_and_emission(tmp_path):
+    """Code 102 stands for a roughness of 0.4, and for 13.29 % of the light."""
+    paint = "Pm 0.75\nPr 0.1\nmap_Pr two.png\nKe 1 0.5 1\nmap_Ke two.png"
+    craft = load_craft(write_obj(tmp_path, texture=png(np.full((4, 4), 102)), paint=paint))
+    (material,) = craft.materials
+    assert (material.roughness, material.metallic, material.emission) == (1, 0.75, (1, 0.5, 1))
+    means = Maps(craft).means
+    np.testing.assert_allclose(means["roughness_map"][:, 1:3], [[0.4, 1]] * 4, atol=1e-3)
+    np.testing.assert_allclose(means["emission_map"][:, :3], 0.1329, atol=1e-3)
+
+
+def test_an_mtl_files_textures_that_are_left_out_are_told(tmp_path, caplog):
+    path = write_obj(tmp_path, paint="map_Bump -bm 0.5 two.png\nmap_d two.png\nrefl two.png")
+    load_craft(path)
+    left_out = "map_bump, map_d, refl"
+    assert caplog.messages == [f"{path}: textures of materials are left out: {left_out}"]
+
+
 def test_a_texture_is_seen_in_the_image(tmp_path):
     craft = load_craft(write_glb(tmp_path, texture=png(np.full((4, 4, 3), (20, 220, 20)))))
     scene = Scene("quads", craft, (4.0, 4.0), 0.5, eclipse_rate=0.0)
@@ -306,6 +343,53 @@ def test_textures_of_materials_that_an_obj_file_does_not_use_may_be_missing(tmp_
 @pytest.mark.parametrize("damage", [b"no image", HALVES[:-30]], ids=["text", "cut"])
 def test_a_texture_that_cannot_be_decoded_is_refused(tmp_path, writer, damage):
     refused(writer(tmp_path, texture=damage), "expected .*texture.* that can be decoded, got ")
+
+
+def paint_gltf(folder, count):
+    """Write a file of so many materials of color and roughness, each with a texture of its own."""
+    path, numbers = write_gltf(folder), range(count)
+    header = json.loads(path.read_text())
+    (primitive,) = header["meshes"][0]["primitives"]
+    header["meshes"][0]["primitives"] = [{**primitive, "material": n} for n in numbers]
+    header["images"] = [{"uri": f"{n}.png"} for n in numbers]
+    header["textures"] = [{"source": n} for n in numbers]
+    slots = ("baseColorTexture", "metallicRoughnessTexture")
+    header["materials"] = [
+        {"pbrMetallicRoughness": {slot: {"index": n} for slot in slots}} for n in numbers
+    ]
+    path.write_text(json.dumps(header))
+    return path
+
+
+def paint_obj(folder, count):
+    """Write a file of so many materials of color and roughness, each with a texture of its own."""
+    path = write_obj(folder)
+    before, _, faces = path.read_text("latin-1").partition("usemtl paint\n")
+    path.write_text(before + "".join(f"usemtl {n}\n{faces}\n" for n in range(count)), "latin-1")
+    (folder / "quads.mtl").write_text(
+        "".join(f"newmtl {n}\nmap_Kd {n}.png\nmap_Pr {n}.png\n" for n in range(count))
+    )
+    return path
+
+
+@pytest.mark.parametrize("writer", [paint_gltf, paint_obj], ids=["gltf", "obj"])
+def test_one_image_at_a_time_is_decoded(tmp_path, writer, monkeypatch):
+    """Decoded, twenty textures of 8192 x 8192 would take 5 GB."""
+    for number in range(6):
+        pixels = np.random.default_rng(number).integers(0, 256, (64, 64, 3))
+        (tmp_path / f"{number}.png").write_bytes(png(pixels))
+    path, images, alive, load = writer(tmp_path, 6), [], [], ImageFile.ImageFile.load
+
+    def counted(image):
+        pixels = load(image)
+        images.append(weakref.ref(image))
+        alive.append(len({id(each()) for each in images if each() is not None}))
+        return pixels
+
+    monkeypatch.setattr(ImageFile.ImageFile, "load", counted)
+    materials = load_craft(path).materials
+    assert len({texture.image for material in materials for texture in material.maps}) == 12
+    assert set(alive) == {1}
 
 
 def test_gltf_that_is_none_or_needs_what_is_not_known_is_refused(tmp_path):

@@ -266,6 +266,38 @@ def test_the_colors_of_binary_stl_files(tmp_path, head, codes, colors):
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
+CORNER_COLORS = (RED, BLUE, PINK, GRAY)
+"""Of the vertices of `POINTS`."""
+
+
+def obj_of_colors():
+    lines = zip(POINTS.splitlines(), CORNER_COLORS, strict=True)
+    return "".join(f"{line} {r / 255} {g / 255} {b / 255}\n" for line, (r, g, b) in lines) + FACES
+
+
+def ply_of_colors():
+    head, _, rows = PLY.partition("end_header\n")
+    names = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    lines = rows.splitlines()
+    for number, color in enumerate(CORNER_COLORS):
+        lines[number] += " {} {} {}".format(*color)
+    head = head.replace("property float z\n", f"property float z\n{names}")
+    return "\n".join([f"{head}end_header", *lines])
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.obj", obj_of_colors()), ("a.ply", ply_of_colors())])
+def test_vertices_have_their_colors(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    mesh = load_craft(path).mesh
+    points = [[float(word) for word in line.split()[1:]] for line in POINTS.splitlines()]
+    for point, color in zip(points, CORNER_COLORS, strict=True):
+        its = (mesh.vertices[mesh.faces] == point).all(axis=-1)
+        assert its.sum() == 3
+        light = [SRGB[code] for code in color]
+        np.testing.assert_allclose(mesh.colors[its, :3], [light] * 3, atol=1e-5)
+
+
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "latin-1"])
 def test_an_stl_text_is_read(tmp_path, code):
     triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Iterator
+from collections import Counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,31 +19,33 @@ from numpy.typing import NDArray
 
 from ffpose.errors import DataError, MissingExtraError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
-from ffpose.render.spacecraft.gltfmaterials import Materials
+from ffpose.render.spacecraft.gltfmaterials import LEFT_OUT, READ, Materials
 from ffpose.render.spacecraft.gltftransforms import (
+    REST,
     Floats,
     Shape,
     blended,
     cofactors,
     local_transform,
     morphed,
+    transforms,
     turned,
 )
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
-from ffpose.render.spacecraft.parts import Part, check_shape
+from ffpose.render.spacecraft.parts import Part, check_shape, used_vertices
 
 Header = dict[str, Any]
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 """Extensions of buffer views by which they are compressed."""
 
-KNOWN_EXTENSIONS = (
+KNOWN_EXTENSIONS = {
     *MESHOPT,
     *("KHR_draco_mesh_compression", "KHR_mesh_quantization", "EXT_mesh_gpu_instancing"),
-    *("KHR_texture_transform", "EXT_texture_webp", "KHR_materials_"),
+    *("KHR_texture_transform", "EXT_texture_webp", *READ, *LEFT_OUT),
     *("KHR_lights_punctual", "KHR_node_visibility", "KHR_xmp_json_ld"),
-)
-"""Beginnings of the names of extensions that are read, or that change neither shape nor color."""
+}
+"""Extensions that are read, that are left out of materials, or that change no surface."""
 
 CORNERS = 3
 """Corners of a triangle."""
@@ -71,13 +73,18 @@ class Placed(NamedTuple):
 
     Attributes:
         key: The primitive, and its shape.
-        places: (1, 4, 4) where it is, or (J, 4, 4) the joint matrices of its skin.
+        places: (N, 4, 4) where its copies are, or (J, 4, 4) the joint matrices of its skin.
         skinned: Whether each vertex moves with joints of a skin.
     """
 
     key: Key
     places: Floats
     skinned: bool = False
+
+    @property
+    def copies(self) -> int:
+        """How many there are."""
+        return 1 if self.skinned else len(self.places)
 
 
 def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
@@ -101,63 +108,61 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
 
 
 def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
-    document = _Document(content, assets, most_faces)
-    placed = list(document.placed())
-    if not all(np.isfinite(item.places).all() for item in placed):
-        raise DataError("expected finite places of meshes, got NaN or infinity", assets.source)
-    count = sum(document.face_count(item.key) for item in placed)
-    if count > most_faces:
-        raise DataError(f"expected at most {most_faces} triangles, got {count}", assets.source)
-    drawn = sorted({item.key for item in placed if document.face_count(item.key)})
-    count, most = document.vertex_count(drawn), CORNERS * most_faces
-    if count > most:
-        raise DataError(f"expected at most {most} vertices, got {count}", assets.source)
+    document = _Document(content, assets)
+    placed = document.placed(most_faces)
+    drawn = sorted({item.key for item in placed})
+    document.check_count(document.vertex_count(drawn), CORNERS * most_faces, "vertices")
     shapes = {key: document.shape(key) for key in drawn}
+    # What Draco compressed may have more triangles than the document states.
+    count = sum(item.copies * len(shapes[item.key]["faces"]) for item in placed)
+    document.check_count(count, most_faces, "triangles")
     materials = Materials(document.header, document.image_bytes, assets.source)
     return [
         _part(shapes[item.key], materials, document.primitive(item.key).get("material"), item)
         for item in placed
-        if item.key in shapes
+        if len(shapes[item.key]["faces"])
     ]
 
 
 def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) -> Part:
-    """Return a primitive in its place, with its material and the coordinates of its textures."""
+    """Return a primitive in its places, with its material and the coordinates of its textures."""
     material, sources = materials.get(number)
-    layers = []
+    points, layers = shape["POSITION"], []
     for source in sources:
         coordinates = shape.get(f"TEXCOORD_{source.set}")
         if coordinates is None:
-            coordinates = np.zeros((len(shape["POSITION"]), 2), np.float32)
-        layers.append(source.transformed(coordinates))
-    places = blended(shape, item.places) if item.skinned else item.places
-    faces, turns = shape["faces"].astype(np.int64), places[:, :3, :3]
-    if np.median(np.linalg.det(turns)) < 0:
-        faces = faces[:, ::-1]
-    vertices = turned(shape["POSITION"], turns) + places[:, :3, 3]
+            coordinates = np.zeros((len(points), 2), np.float32)
+        layers.append(np.tile(source.transformed(coordinates), (item.copies, 1)))
+    places = blended(shape, item.places)[None] if item.skinned else item.places[:, None]
+    turns = places[..., :3, :3]
+    vertices = turned(points, turns) + places[..., :3, 3]
+    mirrored = np.median(np.linalg.det(turns), axis=1) < 0
+    faces = np.where(mirrored[:, None, None], shape["faces"][:, ::-1], shape["faces"])
+    faces = faces + len(points) * np.arange(item.copies)[:, None, None]
     normals = shape.get("NORMAL")
     if normals is not None:
-        normals = turned(normals.astype(np.float64), cofactors(turns))
+        normals = turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
         normals = normals.astype(np.float32)
     colors = shape.get("COLOR_0")
     if colors is not None:
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
+        colors = np.tile(colors, (item.copies, 1))
         if materials.opaque(number):
             colors[:, 3] = 1
+    faces, vertices = faces.reshape(-1, CORNERS), vertices.reshape(-1, 3)
     return Part(vertices, faces, material, normals, colors, tuple(layers))
 
 
 class _Document:
     """A glTF file: its header, and what the header refers to."""
 
-    def __init__(self, content: bytes, assets: Assets, most_faces: int) -> None:
+    def __init__(self, content: bytes, assets: Assets) -> None:
         self.header, self._chunk = _split(content)
         check_numbers(self.header, KNOWN_EXTENSIONS, assets.source)
         self.source = assets.source
         self._assets = assets
-        self._most_faces = most_faces
         self._buffers: dict[int, bytes] = {}
         self._views: dict[int, bytes] = {}
         if isinstance(self.header.get("meshes"), dict):  # version 1.0 may do without an asset
@@ -167,28 +172,53 @@ class _Document:
         if not version.startswith("2."):
             raise DataError(f"expected glTF 2.0, got {version}", assets.source)
         needed = [str(name) for name in self.header.get("extensionsRequired", [])]
-        unknown = [name for name in needed if not name.startswith(KNOWN_EXTENSIONS)]
+        unknown = [name for name in needed if name not in KNOWN_EXTENSIONS]
         if unknown:
             text = f"expected glTF extensions that are known, got one that needs {unknown[0]}"
             raise DataError(text, assets.source)
 
-    def placed(self) -> Iterator[Placed]:
-        """Yield the primitives of the default scene, from the roots of its nodes (section 3.5)."""
+    def placed(self, most_faces: int) -> list[Placed]:
+        """Return the primitives of the default scene that have faces, from its roots (section 3.5).
+
+        A DataError if all copies together have too many triangles, before they are placed.
+        """
         nodes, (places, hidden) = self.header.get("nodes", []), self._places()
-        for number, place in places.items():
+        shown = [number for number in places if "mesh" in nodes[number] and number not in hidden]
+        copies = Counter[int]()
+        for number in shown:
+            copies[nodes[number]["mesh"]] += self._copies(nodes[number])
+        faces = {mesh: self._face_counts(mesh) for mesh in copies}
+        count = sum(times * sum(faces[mesh].values()) for mesh, times in copies.items())
+        self.check_count(count, most_faces, "triangles")
+        placed, joints = list[Placed](), dict[int, Floats]()
+        for number in shown:
             node = nodes[number]
-            if "mesh" not in node or number in hidden:
-                continue
-            copies = self._instances(node.get("extensions", {}).get("EXT_mesh_gpu_instancing"))
+            if not faces[node["mesh"]]:
+                continue  # there may be any number of copies of nothing
             mesh = self.header["meshes"][node["mesh"]]
             weights = tuple(node.get("weights", mesh.get("weights", ())))
-            for primitive in range(len(mesh["primitives"])):
+            where = self._finite(places[number] @ self._instances(node))
+            for primitive in faces[node["mesh"]]:
                 key = Key(node["mesh"], primitive, weights if any(weights) else ())
                 if "skin" in node and "JOINTS_0" in self.primitive(key)["attributes"]:
-                    yield Placed(key, self._joint_matrices(node["skin"], places), True)
-                    continue
-                for copy in copies:
-                    yield Placed(key, (place @ copy)[None])
+                    if node["skin"] not in joints:
+                        matrices = self._joint_matrices(node["skin"], places)
+                        joints[node["skin"]] = self._finite(matrices)
+                    placed.append(Placed(key, joints[node["skin"]], True))
+                else:
+                    placed.append(Placed(key, where))
+        return placed
+
+    def check_count(self, count: int, most: int, what: str) -> None:
+        """Raise a DataError if there is more of something than there may be."""
+        if count > most:
+            raise DataError(f"expected at most {most} {what}, got {count}", self.source)
+
+    def _finite(self, places: Floats) -> Floats:
+        """Return places (N, 4, 4), which must be finite."""
+        if not np.isfinite(places).all():
+            raise DataError("expected finite places of meshes, got NaN or infinity", self.source)
+        return places
 
     def _places(self) -> tuple[dict[int, Floats], set[int]]:
         """Return the places (4, 4) of the default scene's nodes, and which of them are hidden."""
@@ -239,9 +269,13 @@ class _Document:
         found: Header = self.header["meshes"][key.mesh]["primitives"][key.primitive]
         return found
 
-    def face_count(self, key: Key) -> int:
-        """Return the number of triangles of a primitive."""
-        primitive = self.primitive(key)
+    def _face_counts(self, mesh: int) -> dict[int, int]:
+        """Return the numbers of triangles of a mesh's primitives that have any."""
+        primitives = self.header["meshes"][mesh]["primitives"]
+        counts = {number: self._face_count(each) for number, each in enumerate(primitives)}
+        return {number: count for number, count in counts.items() if count}
+
+    def _face_count(self, primitive: Header) -> int:
         mode = primitive.get("mode", TRIANGLES)
         if "POSITION" not in primitive["attributes"] or mode not in (TRIANGLES, STRIP, FAN):
             return 0
@@ -272,7 +306,7 @@ class _Document:
         return [(float(weight), each) for weight, each in pairs if weight != 0]
 
     def shape(self, key: Key) -> Shape:
-        """Read a primitive: its faces (F, 3), and its attributes by name."""
+        """Read a primitive: its faces (F, 3), and by name the attributes of vertices they use."""
         primitive = self.primitive(key)
         packed = self._decoded(primitive, key.mesh)
         shape = {}
@@ -308,7 +342,8 @@ class _Document:
                 raise DataError(text, self.source)
             faces = _triangles(order, primitive.get("mode", TRIANGLES))
         check_shape(points, faces, self.source)
-        return shape | {"faces": faces}
+        used, faces = used_vertices(faces, len(points))
+        return {name: values[used] for name, values in shape.items()} | {"faces": faces}
 
     def _decoded(self, primitive: Header, mesh: int) -> Shape:
         """Return the faces and attributes that Draco compressed."""
@@ -410,21 +445,28 @@ class _Document:
         values: NDArray[Any] = np.ndarray((count, width), kind, content, start, steps)
         return values
 
-    def _instances(self, extension: Header | None) -> list[Floats]:
-        """Return the places (4, 4) of a node's mesh, which an extension repeats."""
-        if extension is None:
-            return [np.eye(4)]
-        names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
-        numbers = {names[key]: n for key, n in extension["attributes"].items() if key in names}
-        most = max(self.header["accessors"][number]["count"] for number in numbers.values())
-        if most > self._most_faces:
-            text = f"expected at most {self._most_faces} copies of a mesh, got {most}"
-            raise DataError(text, self.source)
-        given = {name: self.values(number) for name, number in numbers.items()}
-        count = len(next(iter(given.values())))
-        return [
-            local_transform({key: value[n] for key, value in given.items()}) for n in range(count)
-        ]
+    def _copies(self, node: Header) -> int:
+        """Return how often a node shows its mesh; a DataError if its attributes disagree."""
+        counts = {self.header["accessors"][n]["count"] for n in _instancing(node).values()}
+        if len(counts) > 1:
+            text = "expected as many values of each attribute of a mesh's copies"
+            got = " and ".join(map(str, sorted(counts)))
+            raise DataError(f"{text}, got {got}", self.source)
+        return int(counts.pop()) if counts else 1
+
+    def _instances(self, node: Header) -> Floats:
+        """Return the places (N, 4, 4) of a node's mesh in the node, which an extension repeats."""
+        numbers = _instancing(node)
+        given = {name: self.values(numbers[name]) for name in REST if name in numbers}
+        return transforms(given, self._copies(node))
+
+
+def _instancing(node: Header) -> dict[str, int]:
+    """Return the attributes of a node's copies of its mesh; none where a skin places it."""
+    extension = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
+    if extension is None or "skin" in node:
+        return {}
+    return {name.lower(): number for name, number in extension["attributes"].items()}
 
 
 def _triangles(order: NDArray[Any], mode: int) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +36,18 @@ ROUNDING = 1e-6
 """By how much a factor is out of its range without a word: exporters compute in float32."""
 
 
-def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) -> None:
+def check_numbers(header: dict[str, Any], known: Collection[str], path: Path) -> None:
     """Check the numbers of a document; factors out of their range are told and set to its end.
 
     Public files have such factors, by a slip of who drew the material; all else of them is right.
-    Extensions whose names do not begin with one of ``known`` are not read, and may hold anything. A
-    DataError if a number is not finite, or an index, a count or a size is negative.
+    Extensions that are not ``known`` are not read, and may hold anything. A DataError if a number
+    is not finite, or an index, a count or a size is negative.
     """
     stack: list[tuple[str, Any]] = [("", header)]
     while stack:
         name, part = stack.pop()
         for key, value in part.items() if isinstance(part, dict) else enumerate(part):
-            if key == "extras" or (name == "extensions" and not str(key).startswith(known)):
+            if key == "extras" or (name == "extensions" and key not in known):
                 continue
             inner = key if isinstance(key, str) and name not in BY_NAME else name
             if isinstance(value, dict | list):

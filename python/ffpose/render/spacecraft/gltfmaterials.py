@@ -1,14 +1,16 @@
 """Materials of glTF 2.0: metallic-roughness with textures, and the extensions that change them.
 
-Known are KHR_materials_emissive_strength, ior, specular, transmission, unlit and
-pbrSpecularGlossiness, and KHR_texture_transform; coats, sheen, iridescence and volumes are left
-out. A texture of specular reflectances stands for its mean. What is unlit becomes matte: in space
-it would be dark in the shadow too. What transmits lets through as much light without bending it.
+`READ` are the extensions that are read, and KHR_texture_transform. A texture of specular
+reflectances stands for its mean. What is unlit becomes matte: in space it would be dark in the
+shadow too. What transmits lets through as much light without bending it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,22 +18,32 @@ from numpy.typing import NDArray
 
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
-from ffpose.render.spacecraft.meshassets import one_line, open_image
-from ffpose.render.spacecraft.textures import (
-    CLAMP,
-    MIRROR,
-    REPEAT,
-    Convert,
-    Pyramid,
-    Source,
-    build_pyramid,
-    largest_side,
-    linear,
-)
+from ffpose.render.spacecraft.meshassets import open_image
+from ffpose.render.spacecraft.pyramids import Key, Pyramids
+from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, Convert, Source, linear
+
+logger = logging.getLogger(__name__)
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Header = dict[str, Any]
+
+READ = (
+    *("KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_specular"),
+    *("KHR_materials_transmission", "KHR_materials_unlit"),
+    "KHR_materials_pbrSpecularGlossiness",
+)
+"""Extensions of materials that are read."""
+
+LEFT_OUT = (
+    *("KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_diffuse_transmission"),
+    *("KHR_materials_dispersion", "KHR_materials_iridescence", "KHR_materials_sheen"),
+    *("KHR_materials_variants", "KHR_materials_volume", "KHR_materials_volume_scatter"),
+)
+"""Extensions of materials without which a file is read too, though it requires them."""
+
+LEFT_OUT_TEXTURES = ("specularColorTexture", "specularTexture", "transmissionTexture")
+"""Textures of the extensions that are read of which only the factors are."""
 
 WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 """Codes of a sampler (section 3.8.4.1)."""
@@ -49,19 +61,26 @@ LIGHT = linear(np.arange(256) / 255).astype(np.float32)
 class Materials:
     """The materials of a document, each with the sources of its textures' coordinates.
 
-    ``image_bytes`` returns the content of an image and its name for errors.
+    ``image_bytes`` returns the content of an image and its name for errors. What is left out of the
+    materials is told.
     """
 
     def __init__(
-        self, header: Header, image_bytes: Callable[[int], tuple[bytes, str]], path: Any
+        self, header: Header, image_bytes: Callable[[int], tuple[bytes, str]], path: Path
     ) -> None:
         self._header = header
         self._image_bytes = image_bytes
         self._path = path
         self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
-        self._images: dict[int, Any] = {}
-        self._pyramids: dict[Any, Pyramid] = {}
-        self._most = self._fitting_side()
+        materials = header.get("materials", [])
+        slots = [slot for material in materials for slot in _maps(material).values()]
+        keys = [key for slot, convert in slots if (key := self._key(slot, convert)) is not None]
+        self._pyramids = Pyramids(keys, self._opened, path)
+        left_out = sorted({name for material in materials for name in _left_out(material)})
+        if left_out:
+            logger.warning(
+                "%s: extensions of materials are left out: %s", path, ", ".join(left_out)
+            )
 
     def get(self, number: int | None) -> tuple[Material, tuple[Source, ...]]:
         """Return a material and the sources of its textures; None is the default one."""
@@ -75,23 +94,6 @@ class Materials:
         header = {} if number is None else self._header["materials"][number]
         return bool(header.get("alphaMode", "OPAQUE") == "OPAQUE")
 
-    def _fitting_side(self) -> int:
-        """Return the largest side of textures with which all that materials use fit in memory."""
-        used: set[tuple[str, int]] = set()
-        for material in self._header.get("materials", []):
-            base, rough = _slots(material)
-            slots = {
-                "color": base,
-                "rough": rough,
-                "normal": material.get("normalTexture"),
-                "emission": material.get("emissiveTexture"),
-            }
-            for kind, slot in slots.items():
-                number = self._image_number(slot)
-                if number is not None:
-                    used.add((kind, number))
-        return largest_side([self._image(number).size for _, number in used])
-
     def _make(self, header: Header) -> tuple[Material, tuple[Source, ...]]:
         extensions = header.get("extensions", {})
         base, rough = _slots(header)
@@ -99,20 +101,20 @@ class Materials:
         factors = _factors(header)
         if factors.get("glossiness") is not None:
             factors["reflectance"] = self._tinted(factors["reflectance"], rough)
-        mode = header.get("alphaMode", "OPAQUE")
-        alpha = factors["color"][3] if mode != "OPAQUE" else 1.0
-        cutoff = header.get("alphaCutoff", 0.5) if mode == "MASK" else None
+        alpha = factors["color"][3] if header.get("alphaMode", "OPAQUE") != "OPAQUE" else 1.0
+        cutoff = _cutoff(header)
         if cutoff is not None:
-            cutoff, alpha = cutoff / max(alpha, 1e-6), 1.0
-            if base is None:
-                alpha = float(cutoff <= 1)
+            alpha = 1.0 if base is not None else float(cutoff <= 1)
         glass = extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0)
-        scale = header.get("normalTexture", {}).get("scale", 1.0)
         glow = extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
         emission = np.asarray(header.get("emissiveFactor", (0, 0, 0)), float) * glow
         shine = factors.get("glossiness")
         roughness = factors["roughness"] if shine is None or rough is None else 1.0
         unlit = "KHR_materials_unlit" in extensions
+        maps: dict[str, Any] = {
+            field: self._texture(slot, convert, sources)
+            for field, (slot, convert) in _maps(header).items()
+        }
         material = Material(
             three(np.clip(factors["color"][:3], 0, 1)),
             1.0 if unlit else float(max(roughness, LEAST_ROUGHNESS)),
@@ -121,16 +123,7 @@ class Materials:
             reflectance=(0.0, 0.0, 0.0) if unlit else factors["reflectance"],
             alpha=float(np.clip(alpha * (1 - GLASS * glass), 0, 1)),
             two_sided=bool(header.get("doubleSided", False)),
-            color_map=self._texture(base, sources, ("color", mode, cutoff), color_of(mode, cutoff)),
-            roughness_map=self._texture(
-                rough, sources, ("rough", shine), values_of if shine is None else _glossy(shine)
-            ),
-            normal_map=self._texture(
-                header.get("normalTexture"), sources, ("normal", scale), normals_of(scale)
-            ),
-            emission_map=self._texture(
-                header.get("emissiveTexture"), sources, ("emission",), color_of("OPAQUE", None)
-            ),
+            **maps,
         )
         return material, tuple(sources)
 
@@ -138,28 +131,20 @@ class Materials:
         self, reflectance: tuple[float, float, float], slot: Header | None
     ) -> tuple[float, float, float]:
         """Return a reflectance times the mean light of the texture that it is a factor of."""
-        number = self._image_number(slot)
-        if number is None:
+        key = self._key(slot, color_of("OPAQUE", None))
+        if key is None:
             return reflectance
-        few = min(self._most, MEAN_SIDE)
-        pyramid = self._decoded(self._image(number), number, color_of("OPAQUE", None), most=few)
+        pyramid = self._pyramids.build(key, MEAN_SIDE)
         light = pyramid.level(0)[..., :3].mean(axis=(0, 1), dtype=np.float64)
         return three(light * reflectance)
 
     def _texture(
-        self, slot: Header | None, sources: dict[Source, int], key: Any, convert: Convert
+        self, slot: Header | None, convert: Convert, sources: dict[Source, int]
     ) -> Texture | None:
         """Return a texture of a slot, and note where its coordinates come from."""
-        number = self._image_number(slot)
-        if slot is None or number is None:
+        key = self._key(slot, convert)
+        if slot is None or key is None:
             return None
-        entry = self._header["textures"][slot["index"]]
-        sampler = self._header["samplers"][entry["sampler"]] if "sampler" in entry else {}
-        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
-        key = (number, wrap, *key)
-        if key not in self._pyramids:
-            image = self._image(number)
-            self._pyramids[key] = self._decoded(image, number, convert, self._most, wrap)
         change = slot.get("extensions", {}).get("KHR_texture_transform", {})
         source = Source(
             int(change.get("texCoord", slot.get("texCoord", 0))),
@@ -167,7 +152,17 @@ class Materials:
             float(change.get("rotation", 0.0)),
             tuple(change.get("scale", (1.0, 1.0))),
         )
-        return Texture(self._pyramids[key], sources.setdefault(source, len(sources)))
+        return Texture(self._pyramids.get(key), sources.setdefault(source, len(sources)))
+
+    def _key(self, slot: Header | None, convert: Convert) -> Key | None:
+        """Return what the pyramid of a slot is made of; None without an image."""
+        number = self._image_number(slot)
+        if slot is None or number is None:
+            return None
+        entry = self._header["textures"][slot["index"]]
+        sampler = self._header["samplers"][entry["sampler"]] if "sampler" in entry else {}
+        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
+        return Key(number, convert, wrap)
 
     def _image_number(self, slot: Header | None) -> int | None:
         """Return the image of a slot; None without one, a DataError for one in KTX2 alone."""
@@ -185,26 +180,39 @@ class Materials:
             raise DataError(text, self._path)
         return None if number is None else int(number)
 
-    def _image(self, number: int) -> Any:
-        """Return an image, of which Pillow has read the head."""
-        if number not in self._images:
-            content, name = self._image_bytes(number)
-            self._images[number] = open_image(content, self._path, name)
-        return self._images[number]
+    def _opened(self, number: int) -> Any:
+        """Open an image, of which Pillow reads the head."""
+        content, name = self._image_bytes(number)
+        return open_image(content, self._path, name)
 
-    def _decoded(
-        self,
-        image: Any,
-        number: int,
-        convert: Convert,
-        most: int,
-        wrap: tuple[int, int] = (REPEAT, REPEAT),
-    ) -> Pyramid:
-        try:
-            return build_pyramid(image, convert, most, wrap)
-        except (OSError, SyntaxError, ValueError) as error:
-            text = f"expected texture {number} that can be decoded, got {one_line(error)}"
-            raise DataError(text, self._path) from error
+
+def _left_out(material: Header) -> Iterator[str]:
+    """Yield what of a material's extensions is not read."""
+    for name, values in material.get("extensions", {}).items():
+        if name in READ:
+            yield from (f"{key} of {name}" for key in LEFT_OUT_TEXTURES if key in values)
+        elif "_materials_" in name:
+            yield name
+
+
+def _maps(material: Header) -> dict[str, tuple[Header | None, Convert]]:
+    """Return slots of textures by their fields of a `Material`, and what turns their codes."""
+    base, rough = _slots(material)
+    shine = _factors(material).get("glossiness")
+    normal = material.get("normalTexture")
+    return {
+        "color_map": (base, color_of(material.get("alphaMode", "OPAQUE"), _cutoff(material))),
+        "roughness_map": (rough, values_of if shine is None else _glossy(shine)),
+        "normal_map": (normal, normals_of(1.0 if normal is None else normal.get("scale", 1.0))),
+        "emission_map": (material.get("emissiveTexture"), color_of("OPAQUE", None)),
+    }
+
+
+def _cutoff(material: Header) -> float | None:
+    """Return the alpha of a texture from which a masked material is there; None for others."""
+    if material.get("alphaMode", "OPAQUE") != "MASK":
+        return None
+    return float(material.get("alphaCutoff", 0.5) / max(_factors(material)["color"][3], 1e-6))
 
 
 def _slots(material: Header) -> tuple[Header | None, Header | None]:
@@ -242,6 +250,7 @@ def _factors(header: Header) -> dict[str, Any]:
     }
 
 
+@cache
 def color_of(mode: str, cutoff: float | None) -> Convert:
     """Return what turns codes into light multiplied by alpha, and alpha."""
 
@@ -259,6 +268,7 @@ def color_of(mode: str, cutoff: float | None) -> Convert:
     return convert
 
 
+@cache
 def normals_of(scale: float) -> Convert:
     """Return what turns codes into unit normals in the tangent frame."""
 
@@ -279,6 +289,7 @@ def values_of(codes: Codes) -> Floats:
     return codes * np.float32(1 / 255)
 
 
+@cache
 def _glossy(factor: float) -> Convert:
     """Return what turns glossiness in the fourth channel into roughness in the second."""
 

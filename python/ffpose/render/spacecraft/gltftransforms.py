@@ -5,24 +5,36 @@ Sections are those of the specification (Khronos Group, "glTF 2.0 Specification"
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Shape = dict[str, NDArray[Any]]
 """Attributes of a primitive's vertices, each (V, K), by name."""
+
+REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+"""What places a node, and where it changes nothing."""
 
 
 def local_transform(node: dict[str, Any]) -> Floats:
     """Return the matrix (4, 4) of a node: given, or scale, then rotation, then translation."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    matrix = np.eye(4)
-    x, y, z, w = np.asarray(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+    matrix: Floats = transforms({name: [node[name]] for name in REST if name in node}, 1)[0]
+    return matrix
+
+
+def transforms(given: Mapping[str, ArrayLike], count: int) -> Floats:
+    """Return matrices (N, 4, 4) of what is ``given`` (N, K) of `REST`."""
+    move, rotation, scale = (
+        np.asarray(given.get(name, [rest]), dtype=np.float64) for name, rest in REST.items()
+    )
+    x, y, z, w = rotation.T
     norm = x * x + y * y + z * z + w * w
-    two = 2 / norm if norm > 0 else 0.0
+    two = np.divide(2, norm, out=np.zeros_like(norm), where=norm > 0)
     turn = np.array(
         [
             [1 - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w)],
@@ -30,9 +42,10 @@ def local_transform(node: dict[str, Any]) -> Floats:
             [two * (x * z - y * w), two * (y * z + x * w), 1 - two * (x * x + y * y)],
         ]
     )
-    matrix[:3, :3] = turn * np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64)
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    matrices[:, :3, :3] = turn.transpose(2, 0, 1) * scale[:, None]
+    matrices[:, :3, 3] = move
+    return matrices
 
 
 def morphed(name: str, values: NDArray[Any], deltas: NDArray[Any], weight: float) -> NDArray[Any]:
@@ -69,16 +82,16 @@ def blended(shape: Shape, joints: Floats) -> Floats:
 
 
 def turned(vectors: Floats, matrices: Floats) -> Floats:
-    """Return vectors (V, 3) by a matrix (1, 3, 3), or each by its own (V, 3, 3)."""
-    if len(matrices) == 1:
-        found: Floats = vectors @ matrices[0].T
+    """Return vectors (V, 3) by N matrices (N, 1, 3, 3), or each by its own (N, V, 3, 3)."""
+    if matrices.shape[1] == 1:
+        found: Floats = vectors @ matrices[:, 0].swapaxes(1, 2)
     else:
-        found = np.einsum("vij,vj->vi", matrices, vectors)
+        found = np.einsum("nvij,vj->nvi", matrices, vectors)
     return found
 
 
 def cofactors(matrices: Floats) -> Floats:
-    """Return cofactors (N, 3, 3), by which normals turn; those of a mirror point inward too."""
-    a, b, c = (matrices[:, row] for row in range(3))
-    signs = np.where(np.linalg.det(matrices) < 0, -1.0, 1.0)
-    return signs[:, None, None] * np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    """Return cofactors (..., 3, 3), by which normals turn; those of a mirror point inward too."""
+    a, b, c = (matrices[..., row, :] for row in range(3))
+    signs = np.where(np.linalg.det(matrices) < 0, -1.0, 1.0)[..., None, None]
+    return signs * np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)

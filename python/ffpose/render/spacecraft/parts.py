@@ -45,12 +45,11 @@ def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
     counts = [len(part.faces) for part in parts]
     depth = max(len(part.layers) for part in parts)
     normals = [_of_corners(part, part.normals, (np.nan,) * 3) for part in parts]
-    vertices, together = np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
-    used = np.zeros(len(vertices), np.bool_)
-    used[together] = True
+    vertices = np.concatenate([part.vertices for part in parts])
+    used, together = used_vertices(np.concatenate(faces), len(vertices))
     mesh = Mesh(
         vertices[used],
-        (np.cumsum(used) - 1)[together].astype(np.int32),
+        together.astype(np.int32),
         np.zeros((sum(counts), 3, 2)),
         np.repeat([numbers[part.material] for part in parts], counts).astype(np.int32),
         None if all(part.normals is None for part in parts) else np.concatenate(normals),
@@ -68,6 +67,15 @@ def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
         ),
     )
     return mesh, materials
+
+
+def used_vertices(
+    faces: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which of so many vertices faces (F, 3) use, and the faces between these alone."""
+    used = np.zeros(count, np.bool_)
+    used[faces] = True
+    return used, (np.cumsum(used) - 1)[faces]
 
 
 def _of_corners(part: Part, values: Floats | None, missing: tuple[float, ...]) -> Floats:

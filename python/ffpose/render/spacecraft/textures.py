@@ -24,6 +24,8 @@ TEXEL_BYTES = 8
 """Four channels of 16 bits."""
 
 MAX_SIDE = 4096
+"""Most texels along a side of a texture."""
+
 BAND_TEXELS = 1 << 20
 """Texels of an image that are decoded at once."""
 
@@ -126,8 +128,9 @@ def largest_side(sizes: Sequence[tuple[int, int]]) -> int:
     """Return the largest side of finest levels with which textures of these sizes fit `BUDGET`."""
     side = MAX_SIDE
     while side > 1:
-        texels = sum(_power_of_two(w, side) * _power_of_two(h, side) for w, h in sizes)
-        if texels * TEXEL_BYTES * 4 // 3 <= BUDGET:
+        finest = [(_power_of_two(w, side), _power_of_two(h, side)) for w, h in sizes]
+        texels = sum(columns * lines for each in finest for columns, lines in _sides(*each))
+        if texels * TEXEL_BYTES <= BUDGET:
             break
         side //= 2
     return side

@@ -18,30 +18,37 @@ from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, 
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
 from ffpose.render.spacecraft.meshchecks import checked, named_materials
-from ffpose.render.spacecraft.mtloptions import Options, texture_options
+from ffpose.render.spacecraft.mtloptions import texture_options
 from ffpose.render.spacecraft.parts import Part, check_shape
+from ffpose.render.spacecraft.pyramids import Key, Pyramids
 from ffpose.render.spacecraft.stlcolors import stl_colors
-from ffpose.render.spacecraft.textures import (
-    CLAMP,
-    REPEAT,
-    Pyramid,
-    Source,
-    build_pyramid,
-    largest_side,
-    linear,
-)
+from ffpose.render.spacecraft.textures import CLAMP, REPEAT, Source, linear
 
 logger = logging.getLogger(__name__)
 
 ROUGHNESS = 0.55
 """Roughness of what has no material."""
 
+
+def _rough(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return codes as roughness, of what is as metallic as its factor."""
+    values = values_of(codes)
+    values[..., 2] = 1
+    return values
+
+
 CONVERTS = {
     "map_kd": color_of("BLEND", None),
     "map_ke": color_of("OPAQUE", None),
-    "map_pr": values_of,
+    "map_pr": _rough,
 }
-"""What turns codes into values, by the key of a texture; those of normals have options."""
+"""What turns codes into values, by the field of a texture; those of normals have options."""
+
+TEXTURES = {*CONVERTS, "norm"}
+"""Fields of textures that are read."""
+
+OTHERS = ("bump", "decal", "disp", "refl")
+"""Fields of textures that are not, beside those that begin with ``map_``."""
 
 DIELECTRIC = 0.08
 """Reflectance that an MTL file's ``Ks`` of one stands for; a half is that of paint."""
@@ -138,45 +145,51 @@ def _light(codes: ArrayLike) -> NDArray[np.float32]:
 
 
 class _Paints:
-    """The materials of an MTL file."""
+    """The materials of an MTL file; textures that are left out are told."""
 
     def __init__(self, meshes: list[Any], assets: Assets) -> None:
         self._assets = assets
         self._made: dict[int, tuple[Material, tuple[Source, ...]]] = {}
-        self._images: dict[str, Any] = {}
-        self._options: dict[str, Options] = {}
-        self._pyramids: dict[Any, Pyramid] = {}
-        materials = [mesh.visual.material for mesh in meshes if mesh.visual.kind == "texture"]
-        sizes: dict[Any, tuple[int, int]] = {}
-        for material in materials:
-            if getattr(material, "image", None) is not None:
-                sizes[id(material.image)] = material.image.size
-            for key in ("map_ke", "norm", "map_pr"):
-                if key in getattr(material, "kwargs", {}):
-                    sizes[key, " ".join(material.kwargs[key])] = self._opened(material, key).size
-        self._most = largest_side(list(sizes.values()))
+        self._unnamed: list[Any] = []
+        textured = [mesh.visual.material for mesh in meshes if mesh.visual.kind == "texture"]
+        self._given = {id(material): _simple(material) for material in textured}
+        self._names = {number: self._named(each) for number, each in self._given.items()}
+        used = [pair for names in self._names.values() for pair in names.items()]
+        self._options = {
+            name: texture_options(str(name), assets.source)
+            for name in dict.fromkeys(name for _, name in used)
+        }
+        keys = [self._key(field, name) for field, name in used]
+        self._pyramids = Pyramids(keys, self._opened, assets.source)
+        fields = {field for material in self._given.values() for field in material.kwargs}
+        left_out = sorted(f for f in fields - TEXTURES if f.startswith("map_") or f in OTHERS)
+        if left_out:
+            text = "%s: textures of materials are left out: %s"
+            logger.warning(text, assets.source, ", ".join(left_out))
 
     def get(self, material: Any) -> tuple[Material, tuple[Source, ...]]:
         """Return a material as the renderer has them, and the sources of its textures."""
-        if id(material) not in self._made:
-            self._made[id(material)] = self._make(material)
-        return self._made[id(material)]
+        number = id(material)
+        if number not in self._made:
+            self._made[number] = self._make(self._given[number], self._names[number])
+        return self._made[number]
 
     def miss(self, material: Any) -> None:
         """Warn of a texture without coordinates, of which one point colors everything."""
         text = "%s: material %r has a texture and no texture coordinates: of one color"
         logger.warning(text, self._assets.source, material.name)
 
-    def _make(self, material: Any) -> tuple[Material, tuple[Source, ...]]:
+    def _make(
+        self, material: Any, names: dict[str, str | int]
+    ) -> tuple[Material, tuple[Source, ...]]:
         sources: dict[Source, int] = {}
-        if hasattr(material, "to_simple"):  # of a .ply file that names a texture
-            material = material.to_simple()
-        given, image = material.kwargs, material.image
+        given = material.kwargs
         color = _triple(given.get("kd"))
         if color is None:
             # Trimesh's gray of a material without a color, and white beside a texture.
-            color = np.ones(3) if image is not None else np.asarray(material.diffuse[:3]) / 255
-        elif image is not None and not color.any():
+            gray = np.asarray(material.diffuse[:3]) / 255
+            color = np.ones(3) if "map_kd" in names else gray
+        elif "map_kd" in names and not color.any():
             color = np.ones(3)  # exporters write black beside a texture to be seen as it is
         gloss = _number(given.get("ns"))
         rough = ROUGHNESS if gloss is None else (2 / (max(gloss, 0) + 2)) ** 0.25
@@ -185,56 +198,60 @@ class _Paints:
         shine = _triple(given.get("ks"))
         alpha = _number(given.get("d"), 1 - (_number(given.get("tr"), 0.0) or 0.0))
         glow = _triple(given.get("ke"))
+        if glow is None:
+            glow = np.full(3, float("map_ke" in names))  # exporters write none beside a texture
         made = Material(
             three(linear(np.clip(color, 0, 1))),
-            float(np.clip(1.0 if "map_pr" in given else rough, LEAST_ROUGHNESS, 1)),
+            float(np.clip(1.0 if "map_pr" in names else rough, LEAST_ROUGHNESS, 1)),
             float(np.clip(_number(given.get("pm"), 0.0) or 0.0, 0, 1)),
-            three(np.zeros(3) if glow is None else glow),
+            three(glow),
             reflectance=three(DIELECTRIC * np.clip((0.5,) * 3 if shine is None else shine, 0, 1)),
             alpha=float(np.clip(1.0 if alpha is None else alpha, 0, 1)),
-            color_map=self._texture("map_kd", image, _file_name(image), sources),
-            roughness_map=self._named("map_pr", material, sources),
-            normal_map=self._named("norm", material, sources),
-            emission_map=self._named("map_ke", material, sources),
+            color_map=self._texture("map_kd", names, sources),
+            roughness_map=self._texture("map_pr", names, sources),
+            normal_map=self._texture("norm", names, sources),
+            emission_map=self._texture("map_ke", names, sources),
         )
         return made, tuple(sources)
 
-    def _named(self, key: str, material: Any, sources: dict[Source, int]) -> Texture | None:
-        if key not in material.kwargs:
-            return None
-        name = " ".join(material.kwargs[key])
-        return self._texture(key, self._opened(material, key), name, sources)
+    def _named(self, material: Any) -> dict[str, str | int]:
+        """Return the names of a material's textures by their fields, numbers of those without."""
+        given = material.kwargs
+        names: dict[str, str | int] = {
+            field: " ".join(given[field]) for field in sorted(TEXTURES) if field in given
+        }
+        if material.image is not None:  # that of map_Kd is open
+            names["map_kd"] = material.image.info.get("file_path") or len(self._unnamed)
+            if isinstance(names["map_kd"], int):
+                self._unnamed.append(material.image)
+        return names
 
-    def _opened(self, material: Any, key: str) -> Any:
-        name = " ".join(material.kwargs[key])
-        if name not in self._images:
-            self._images[name] = open_image(self._assets.get(name), self._assets.source, repr(name))
-        return self._images[name]
+    def _opened(self, name: str | int) -> Any:
+        """Open an image, of which Pillow reads the head."""
+        if isinstance(name, int):
+            return self._unnamed[name]
+        return open_image(self._assets.get(name), self._assets.source, repr(name))
+
+    def _key(self, field: str, name: str | int) -> Key:
+        """Return what the pyramid of a field's texture is made of."""
+        options = self._options[name]
+        convert = normals_of(options.multiplier) if field == "norm" else CONVERTS[field]
+        return Key(name, convert, (CLAMP, CLAMP) if options.clamp else (REPEAT, REPEAT))
 
     def _texture(
-        self, key: str, image: Any, name: str, sources: dict[Source, int]
+        self, field: str, names: dict[str, str | int], sources: dict[Source, int]
     ) -> Texture | None:
-        """Return a texture of a key, and note where its coordinates come from."""
-        if image is None:
+        """Return the texture of a field, and note where its coordinates come from."""
+        if field not in names:
             return None
-        if name not in self._options:
-            self._options[name] = texture_options(name, self._assets.source)
-        options = self._options[name]
-        convert = normals_of(options.multiplier) if key == "norm" else CONVERTS[key]
-        made = (id(image), key, options.clamp, options.multiplier)
-        if made not in self._pyramids:
-            wrap = (CLAMP, CLAMP) if options.clamp else (REPEAT, REPEAT)
-            try:
-                self._pyramids[made] = build_pyramid(image, convert, self._most, wrap)
-            except (OSError, SyntaxError, ValueError) as error:
-                text = f"expected a texture that can be decoded, got {one_line(error)}"
-                raise DataError(text, self._assets.source) from error
-        return Texture(self._pyramids[made], sources.setdefault(options.source(), len(sources)))
+        name = names[field]
+        layer = sources.setdefault(self._options[name].source(), len(sources))
+        return Texture(self._pyramids.get(self._key(field, name)), layer)
 
 
-def _file_name(image: Any) -> str:
-    """Return the name of an image as an MTL file has it, with options."""
-    return "" if image is None else str(image.info.get("file_path", ""))
+def _simple(material: Any) -> Any:
+    """Return a material as those of MTL files are, which that of a .ply file may not be."""
+    return material.to_simple() if hasattr(material, "to_simple") else material
 
 
 def _number(words: Any, missing: float | None = None) -> float | None:
