@@ -12,7 +12,7 @@ import pytest
 
 from ffpose.geometry import Camera, Pose
 from ffpose.render import SCENES, label, mitsuba, render, render_layers
-from ffpose.render.renderer import prepared
+from ffpose.render.renderer import draw_alone, prepared
 from ffpose.render.shading.patterns import Surface
 from ffpose.render.shading.rays import View
 from ffpose.render.shading.reflection import (
@@ -26,6 +26,7 @@ from ffpose.render.shading.tracer import Hits
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh
+from tests.render.spacecraft.test_gltf_features import FACES, PLACES, File
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
 drjit = pytest.importorskip("drjit")
@@ -256,3 +257,134 @@ def test_their_pictures_do_not_depend_on_threads():
         pictures.append(render(scene, 9, 0, (96, 72)).image)
     drjit.set_thread_count(2)
     assert np.array_equal(*pictures)
+
+
+GRID = Camera(160, 120, 150.0, 150.0, 80.0, 60.0)
+ABOVE = Pose((0.0, 0.0, 12.0), (0.0, 1.0, 0.0, 0.0))
+"""The camera at +z, x to the right and y up in the image."""
+
+APART, ROW = 2.5, 5
+"""Meters between the middles of plates of 2 m, and plates in a row."""
+
+
+class Plates(File):
+    """A file of plates beside each other, each of a material of its own."""
+
+    def __init__(self):
+        super().__init__()
+        self.header |= {"meshes": [], "nodes": [], "scenes": [{"nodes": []}]}
+        self.places = {}
+
+    def add(self, name, material, *, over=None, faces=FACES, **attributes):
+        """A plate, or one a meter over another."""
+        number, count = len(self.header["meshes"]), len(self.places)
+        if over is None:
+            self.places[name] = ((count % ROW - 2) * APART, (1 - count // ROW) * APART, 0)
+        place = self.places[name] if over is None else (*self.places[over][:2], 1)
+        own = {key: self.accessor(np.float32(values)) for key, values in attributes.items()}
+        part = {
+            "attributes": self.attributes | own,
+            "indices": self.accessor(faces),
+            "material": number,
+        }
+        self.header["materials"].append(material)
+        self.header["meshes"].append({"primitives": [part]})
+        self.header["nodes"].append({"mesh": number, "translation": place})
+        self.header["scenes"][0]["nodes"].append(number)
+
+    def middles(self, image):
+        """The mean color of the middle of each plate."""
+        found = {}
+        for name, place in self.places.items():
+            u, v = GRID.project(ABOVE.transform(place)).astype(int)
+            found[name] = image[v - 8 : v + 9, u - 8 : u + 9].mean((0, 1))
+        return found
+
+
+def paint(color=(1, 1, 1), alpha=1, **more):
+    values = {"baseColorFactor": [*color, alpha], "metallicFactor": 0, "roughnessFactor": 0.8}
+    return {"pbrMetallicRoughness": values | more}
+
+
+def glossy(diffuse, specular):
+    values = {"diffuseFactor": [*diffuse, 1], "specularFactor": specular, "glossinessFactor": 0.5}
+    return {"extensions": {"KHR_materials_pbrSpecularGlossiness": values}}
+
+
+def plates_of_a_file():
+    file = Plates()
+    noise = {"index": file.texture(np.random.default_rng(0).integers(0, 256, (64, 64, 3)))}
+    bright = np.full((64, 64, 3), 60)
+    bright[:32, 32:] = 220
+    file.header["samplers"] = [{"wrapS": 33071, "wrapT": 33071}]
+    corner = {"index": file.texture(bright, sampler=0)}
+    thrice = {"KHR_texture_transform": {"scale": [3, 3], "offset": [0, -2]}}
+    leaning = {"normalTexture": {"index": file.texture(np.full((4, 4, 3), (166, 204, 225)))}}
+    ramp = [(0.2, 0.3, 0.9), (0.8, 0.3, 0.9), (0.8, 0.9, 0.1), (0.2, 0.9, 0.1)]
+    diamond = {"extensions": {"KHR_materials_ior": {"ior": 2.5}}}
+
+    file.add("texture", paint((0.9, 0.6, 0.4), baseColorTexture=noise))
+    upper_right = PLACES / 2 + np.float32([0.5, 0])
+    file.add("corner of a texture", paint(baseColorTexture=corner), TEXCOORD_0=upper_right)
+    file.add("clamped texture", paint(baseColorTexture=corner | {"extensions": thrice}))
+    file.add("normal map", paint() | leaning)
+    file.add("mirrored normal map", paint() | leaning, TEXCOORD_0=PLACES * (-1, 1))
+    file.add("metal", paint((0.9, 0.7, 0.4), metallicFactor=1, roughnessFactor=0.5))
+    file.add("colors", paint((0.5, 0.6, 0.7)), COLOR_0=ramp)
+    file.add("no colors", paint((0.5, 0.6, 0.2)))
+    file.add("colors and texture", paint(baseColorTexture=noise), COLOR_0=[(0.5, 0.9, 0.2)] * 4)
+    file.add("alpha", paint() | {"alphaMode": "BLEND"}, COLOR_0=[(1, 1, 1, 0.4)] * 4)
+    glow = {"alphaMode": "BLEND", "emissiveFactor": [0.2, 0.4, 0.8]}
+    file.add("alpha and glow", paint(alpha=0.5) | glow)
+    file.add("gold", glossy((0, 0, 0), (1.0, 0.77, 0.34)))
+    file.add("tinted mirror", glossy((0.4, 0.3, 0.1), (0.6, 0.45, 0.15)))
+    file.add("diamond", paint((0.02,) * 3, roughnessFactor=0.5) | diamond)
+    file.add("under a back", paint((0.7, 0.8, 0.9)))
+    file.add("back", paint(), over="under a back", faces=FACES[::-1].copy())
+    return file
+
+
+@pytest.mark.parametrize("gray", [0.0, 1.0])
+@pytest.mark.parametrize("lights", [{"sunlight": 1.0}, {"sunlight": 0.0, "lamp": 100.0}])
+def test_materials_of_a_file_look_as_ours(tmp_path, lights, gray):
+    """A back is looked through, and its shadow of the sun is seen."""
+    file = plates_of_a_file()
+    craft = file.load(tmp_path)
+    sun = np.float32([0.5, 0.3, 0.81]) / np.float32(np.linalg.norm([0.5, 0.3, 0.81]))
+    light = Light(sun, -sun, **lights)
+    theirs = np.full((GRID.height, GRID.width, 3), gray, np.float32)
+    mitsuba.draw_craft(theirs, GRID, ABOVE, craft, light, np.random.default_rng(0))
+    ours = file.middles(draw_alone(craft, ABOVE, GRID, light, gray))
+    for name, shown in file.middles(theirs).items():
+        np.testing.assert_allclose(shown, ours[name], rtol=0.1, atol=2e-3, err_msg=name)
+
+
+def test_a_back_is_not_seen():
+    """Neither what it would reflect nor a light behind it; where a front is too, that is seen."""
+    pose = turned_plate(0)
+    light = light_of(pose, sunlight=1.0, earth=1.0, nadir=(0, 0, 1), lamp=1.0)
+    black = Material((0.0, 0.0, 0.0), roughness=1.0, two_sided=False)
+    back = replace(plate(), materials=(black,))
+    for shown, gray in zip(drawn(pose, light, back), (0.0, 1.0), strict=True):
+        np.testing.assert_allclose(shown, gray, atol=1e-6)
+    mesh = back.mesh
+    faces = np.concatenate([mesh.faces, mesh.faces[:, ::-1]])
+    both = Mesh(mesh.vertices, faces, np.zeros((4, 3, 2)), np.array([0, 0, 1, 1], np.int32))
+    front = Craft("both", both, (black, replace(WHITE, two_sided=False)))
+    for shown, white in zip(drawn(pose, light, front), drawn(pose, light), strict=True):
+        np.testing.assert_allclose(shown, white, atol=1e-3)
+
+
+def test_a_closed_craft_looks_the_same_with_one_sided_surfaces():
+    scene = SCENES["dragon_hard"]
+    craft, pose = scene.build(), label(scene, 9, 1)
+    one_sided = tuple(replace(material, two_sided=False) for material in craft.materials)
+    light = light_of(pose, sunlight=1.0, sun=(0.6, 0, -0.8), earth=1.0, nadir=(0, 0.8, 0.6))
+    pictures = []
+    for each in (craft, replace(craft, materials=one_sided)):
+        picture = np.zeros((120, 160, 3), np.float32)
+        camera = scene.camera.resized(160, 120)
+        mitsuba.draw_craft(picture, camera, pose, each, light, np.random.default_rng(0))
+        pictures.append(picture)
+    assert pictures[0].mean() > 0.01
+    assert np.abs(pictures[0] - pictures[1]).mean() < 0.01 * pictures[0].mean()

@@ -6,29 +6,39 @@ one show how much that matters. Poses, sun, Earth, exposure and sensor are those
 shadows, reflection (the Disney principled BSDF, Burley 2012), light reflected between surfaces, and
 the Earth's light as an environment map. Base colors, normals and roughness of the surface patterns
 are textures baked from `ffpose.render.shading.patterns`; a mesh file's textures are Mitsuba's too.
-Where such a material has both a texture and colors of vertices the texture alone is shown, and all
-its textures have the coordinates of the first. Needs the extra `mitsuba`.
+Backs of one-sided surfaces are looked through; what is seen so is in their shadow of the sun, but
+not of the Earth.
+
+Mitsuba knows less of a mesh file's materials. All textures of one have the coordinates of the
+first; colors of vertices beside a texture multiply it by their mean; a texture that goes on in
+another way to the right than downward goes on in one. A specular reflectance has a color where the
+base color has it too, or is black. What is partly transparent keeps all of the sun off what is
+behind it, and its own glow in front of that is not weaker. Needs the extra `mitsuba`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ffpose.errors import require
 from ffpose.geometry import Camera, Pose
 from ffpose.render.shading.patterns import DRAW, Surface
-from ffpose.render.shading.rays import Window, find_window
+from ffpose.render.shading.rays import Window, cast_rays, find_window
 from ffpose.render.shading.reflection import EARTH_COLOR, HIGHLIGHT_LIMIT, Light
+from ffpose.render.shading.tracer import DEPTH, STEP, Tracer
 from ffpose.render.shading.vectors import Floats, unit
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Pattern, Texture
-from ffpose.render.spacecraft.textures import averaged
+from ffpose.render.spacecraft.mesh import Mesh
+from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, averaged
 
 VARIANT = "scalar_rgb"
 """Mitsuba's build without a just-in-time compiler, which would need LLVM."""
@@ -57,6 +67,12 @@ LARGEST = 2048
 SKY = (256, 128)
 """Width and height of the environment map."""
 
+WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
+"""Mitsuba's names of what lies beyond the border of a texture."""
+
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+"""Weights of a color in its luminance."""
+
 
 def draw_craft(
     radiance: Floats,
@@ -82,7 +98,15 @@ def draw_craft(
     window = find_window(craft.corners, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
-    shown = _shown(camera, pose, craft, light, window, int(rng.integers(2**31)))
+    seed = int(rng.integers(2**31))
+    shown = _shown(camera, pose, craft, light, window, seed)
+    seen = _back_pixels(craft, pose, camera, window)
+    if seen.any():
+        (top, bottom), (left, right) = ((at.min(), at.max() + 1) for at in np.nonzero(seen))
+        x, y, some = window.left, window.top, seen[top:bottom, left:right]
+        inner = Window(x + left, y + top, x + right, y + bottom)
+        behind = _shown(camera, pose, craft, light, inner, seed, through=True)
+        shown[top:bottom, left:right][some] = behind[some]
     color, cover = shown[..., :3], np.minimum(shown[..., 3:], 1)
     part = radiance[window.top : window.bottom, window.left : window.right]
     part *= 1 - cover
@@ -92,9 +116,19 @@ def draw_craft(
 
 
 def _shown(
-    camera: Camera, pose: Pose, craft: Craft, light: Light, window: Window, seed: int
+    camera: Camera,
+    pose: Pose,
+    craft: Craft,
+    light: Light,
+    window: Window,
+    seed: int,
+    *,
+    through: bool = False,
 ) -> Floats:
-    """Render the window: ``(rows, columns, 4)``, radiance times cover, and cover."""
+    """Render the window: ``(rows, columns, 4)``, radiance times cover, and cover.
+
+    With ``through`` the backs of one-sided surfaces are looked through.
+    """
     mi = _mitsuba()
     half = _half_size(camera, window)
     ratio = camera.fx / camera.fy
@@ -102,12 +136,20 @@ def _shown(
     rows = [SCALE * ((v - camera.cy) * ratio + half[1]) for v in (window.top, window.bottom)]
     crop = [(math.floor(low), math.ceil(high)) for low, high in (columns, rows)]
     sensor = _sensor(mi, pose, camera.fx, half, crop)
-    lit, glowing = _shapes(craft)
-    shown = _render(mi, {"sensor": sensor, **glowing}, seed, depth=2, hide=False)
+    lit, glowing = _shapes(craft, pose, through)
+    integrator = {"type": "path", "max_depth": DEPTH + 2, "hide_emitters": False}
+    shown = _render(mi, {"sensor": sensor, **glowing}, seed, integrator)
     # Each light by itself: a path that had to choose between them would be noisier.
     for number, source in enumerate(_lights(mi, pose, light), start=1):
         scene = {"sensor": sensor, "source": source, **lit}
-        shown[..., :3] += _render(mi, scene, seed + number, depth=BOUNCES, hide=True)[..., :3]
+        integrator = {"type": "volpath", "max_depth": BOUNCES, "hide_emitters": True}
+        if source["type"] == "directional":
+            # By paths what lets light through has a shadow, but those that miss all count for
+            # nothing, were there no sky, and each surface passed is a segment.
+            scene["sky"] = {"type": "constant", "radiance": 0.0, "sampling_weight": 0.0}
+            depth = BOUNCES + (DEPTH if through else 0)
+            integrator = {"type": "path", "max_depth": depth, "hide_emitters": False}
+        shown[..., :3] += _render(mi, scene, seed + number, integrator)[..., :3]
     np.clip(shown[..., :3], 0, HIGHLIGHT_LIMIT, out=shown[..., :3])
     for axis, (low, high) in enumerate((rows, columns)):
         begin, count = crop[1 - axis][0], window.shape[axis]
@@ -122,11 +164,11 @@ def _mitsuba() -> Any:
     return mi
 
 
-def _render(mi: Any, scene: dict[str, Any], seed: int, *, depth: int, hide: bool) -> Floats:
-    """Render radiance and cover ``(rows, columns, 4)``; ``hide`` leaves out lights themselves."""
-    path = {"type": "path", "max_depth": depth, "hide_emitters": hide, "block_size": BLOCK}
-    loaded, integrator = mi.load_dict({"type": "scene", **scene}), mi.load_dict(path)
-    image = mi.render(loaded, integrator=integrator, spp=SAMPLES // SCALE**2, seed=seed)
+def _render(mi: Any, scene: dict[str, Any], seed: int, integrator: dict[str, Any]) -> Floats:
+    """Render radiance and cover ``(rows, columns, 4)``."""
+    loaded = mi.load_dict({"type": "scene", **scene})
+    paths = mi.load_dict({**integrator, "block_size": BLOCK})
+    image = mi.render(loaded, integrator=paths, spp=SAMPLES // SCALE**2, seed=seed)
     return np.array(image, dtype=np.float32)
 
 
@@ -200,87 +242,190 @@ def _sky(light: Light) -> Floats:
     return np.asarray(soft[..., None] * color, dtype=np.float32)
 
 
+class Look(NamedTuple):
+    """Faces of one material, and the material for Mitsuba.
+
+    Attributes:
+        faces: (K,) their numbers.
+        lit: How they reflect.
+        dark: How they hide what is behind them, themselves black.
+        radiance: What they emit; None if nothing.
+    """
+
+    faces: NDArray[np.intp]
+    lit: Any
+    dark: Any
+    radiance: Any
+
+
 @lru_cache(maxsize=4)
-def _shapes(craft: Craft) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the spacecraft by material: as it reflects, and as it emits on its outer sides."""
-    mi = _mitsuba()
-    lit: dict[str, Any] = {}
-    glowing: dict[str, Any] = {}
-    for number, material in enumerate(craft.materials):
-        faces = np.flatnonzero(craft.mesh.material == number)
+def _looks(craft: Craft) -> list[Look]:
+    """Return the looks of a spacecraft's faces."""
+    mi, mesh = _mitsuba(), craft.mesh
+    looks = []
+    for number, mirrored in itertools.product(range(len(craft.materials)), (False, True)):
+        material = craft.materials[number]
+        faces = np.flatnonzero((mesh.material == number) & (_mirrored(mesh, material) == mirrored))
         if faces.size == 0:
             continue
-        bsdf = _bsdf(mi, material, craft.mesh.colors is not None)
-        lit[f"lit{number}"] = _shape(mi, craft, faces, material, {"bsdf": bsdf})
-        radiance: dict[str, Any] = {"type": "rgb", "value": list(material.emission)}
-        if material.emission_map is not None:
-            glow = _texels(material.emission_map)[..., :3]
-            radiance = _texture(mi, glow * np.array(material.emission))
-        emitter = {"type": "area", "radiance": radiance}
-        black = {"type": "diffuse", "reflectance": 0.0}
-        parts = {"bsdf": mi.load_dict(_masked(mi, material, black))}
+        colors = None if mesh.colors is None else mesh.colors[faces]
+        radiance: Any = None
         if any(material.emission):
-            parts["emitter"] = mi.load_dict(emitter)
-        glowing[f"glowing{number}"] = _shape(mi, craft, faces, material, parts)
+            radiance = {"type": "rgb", "value": list(material.emission)}
+            if material.emission_map is not None:
+                glow = _texels(material.emission_map)[..., :3] * np.array(material.emission)
+                radiance = mi.load_dict(_texture(mi, glow, material.emission_map.image.wrap))
+        black = {"type": "diffuse", "reflectance": 0.0}
+        lit = {"type": "twosided", "bsdf": _reflecting(mi, material, colors, mirrored)}
+        lit, dark = (mi.load_dict(_masked(mi, material, colors, each)) for each in (lit, black))
+        looks.append(Look(faces, lit, dark, radiance))
+    return looks
+
+
+def _mirrored(mesh: Mesh, material: Material) -> NDArray[np.bool_]:
+    """Return on which faces (F,) a material's normal map is seen mirrored."""
+    if material.normal_map is None:
+        return np.zeros(len(mesh.faces), np.bool_)
+    a, b, c = mesh.layers[material.maps[0].layer].transpose(1, 2, 0)
+    (du1, dv1), (du2, dv2) = b - a, c - a
+    # Upright ones turn clockwise, as coordinates begin at the upper left.
+    return np.asarray(du1 * dv2 > du2 * dv1)
+
+
+def _shapes(craft: Craft, pose: Pose, through: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the spacecraft by material: as it reflects, and as it emits on its outer sides.
+
+    Backs of one-sided faces, which light passes ``through`` or not, lie a little deeper, so that of
+    faces back to back in one place the camera sees the other one.
+    """
+    mi, mesh = _mitsuba(), craft.mesh
+    corners, backs = mesh.vertices[mesh.faces], _backs(craft, pose)
+    corners[backs] += STEP * (corners[backs] + pose.rotation.T @ pose.t)
+    lit: dict[str, Any] = {}
+    glowing: dict[str, Any] = {}
+    if through:
+        bsdf = mi.load_dict({"type": "null"})
+        lit["backs"] = glowing["backs"] = _triangles(mi, corners[backs], {"bsdf": bsdf})
+    for number, look in enumerate(_looks(craft)):
+        faces = look.faces[~backs[look.faces]] if through else look.faces
+        if faces.size == 0:
+            continue
+        lit[f"lit{number}"] = _shape(mi, craft, faces, corners, {"bsdf": look.lit})
+        parts = {"bsdf": look.dark}
+        if look.radiance is not None:
+            parts["emitter"] = mi.load_dict({"type": "area", "radiance": look.radiance})
+        glowing[f"glowing{number}"] = _shape(mi, craft, faces, corners, parts)
     return lit, glowing
 
 
-def _shape(
-    mi: Any, craft: Craft, faces: NDArray[np.intp], material: Material, parts: dict[str, Any]
-) -> Any:
-    """Return some faces as a mesh in which no two share a vertex: normals are those of corners."""
+def _backs(craft: Craft, pose: Pose) -> NDArray[np.bool_]:
+    """Return which faces (F,) are one-sided and turn their backs to the camera."""
     mesh = craft.mesh
-    properties = mi.Properties()
-    for name, part in parts.items():
-        properties[name] = part
-    shape = mi.Mesh(
-        "part",
-        3 * len(faces),
-        len(faces),
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-        props=properties,
-    )
-    values = mi.traverse(shape)
-    corners = mesh.vertices[mesh.faces[faces]]
-    values["vertex_positions"] = corners.astype(np.float32).ravel()
-    values["vertex_normals"] = mesh.corner_normals[faces].ravel()
+    one_sided = np.array([not material.two_sided for material in craft.materials])
+    sight = mesh.vertices[mesh.faces[:, 0]] + pose.rotation.T @ pose.t
+    away = np.einsum("ij,ij->i", mesh.face_normals, sight) > 0
+    return np.asarray(one_sided[mesh.material] & away)
+
+
+def _back_pixels(craft: Craft, pose: Pose, camera: Camera, window: Window) -> NDArray[np.bool_]:
+    """Return pixels (rows, columns) of a window at which a back is what the camera meets first."""
+    rows, columns = window.shape
+    seen = np.zeros((rows + 2, columns + 2), np.bool_)
+    backs = _backs(craft, pose)
+    if backs.any():
+        hits = cast_rays(_tracer(craft), window, camera, pose, SCALE).hits
+        row, column = np.divmod(hits.ray[backs[hits.face]], SCALE * columns)
+        seen[row // SCALE + 1, column // SCALE + 1] = True
+    # Of a pixel beside them it may cover a part between the rays.
+    return np.asarray(sliding_window_view(seen, (3, 3)).any(axis=(2, 3)))
+
+
+@lru_cache(maxsize=4)
+def _tracer(craft: Craft) -> Tracer:
+    """Return what finds the faces that rays meet, from whichever side."""
+    return Tracer(craft.mesh)
+
+
+def _shape(
+    mi: Any,
+    craft: Craft,
+    faces: NDArray[np.intp],
+    corners: NDArray[np.float64],
+    parts: dict[str, Any],
+) -> Any:
+    """Return some faces of one material, with what they have at their ``corners`` (F, 3, 3)."""
+    mesh = craft.mesh
+    material = craft.materials[mesh.material[faces[0]]]
     if material.maps:
         uv = mesh.layers[material.maps[0].layer][faces]
     else:
         uv = (mesh.uv[faces] / (material.scale * TILE)).astype(np.float32)
-    values["vertex_texcoords"] = uv.ravel()
-    values["faces"] = np.arange(3 * len(faces), dtype=np.uint32)
-    values.update()
+    layers = {"normals": mesh.corner_normals[faces], "texcoords": uv}
+    shape = _triangles(mi, corners[faces], parts, layers)
     if mesh.colors is not None:
-        shape.add_attribute("vertex_color", 3, mesh.colors[faces, :, :3].ravel())
+        colors = mesh.colors[faces] * np.array([*material.color, 1], np.float32)
+        shape.add_attribute("vertex_color", 3, colors[..., :3].ravel())
+        shape.add_attribute("vertex_alpha", 1, colors[..., 3].ravel())
     return shape
 
 
-def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
-    """Return a material as Mitsuba's principled BSDF, ``tinted`` by the colors of corners."""
+def _triangles(
+    mi: Any,
+    corners: NDArray[np.float64],
+    parts: dict[str, Any],
+    layers: dict[str, NDArray[Any]] | None = None,
+) -> Any:
+    """Return triangles (F, 3, 3) as a mesh in which no two share a vertex.
+
+    ``layers`` are values (F, 3, K) of the corners: normals and texcoords.
+    """
+    layers = {f"vertex_{name}": values for name, values in (layers or {}).items()}
+    properties = mi.Properties()
+    for name, part in parts.items():
+        properties[name] = part
+    has = {f"has_{name}": True for name in layers}
+    shape = mi.Mesh("part", 3 * len(corners), len(corners), props=properties, **has)
+    values = mi.traverse(shape)
+    layers |= {"vertex_positions": corners, "faces": np.arange(3 * len(corners))}
+    for name, layer in layers.items():
+        np.asarray(values[name])[:] = layer.ravel()  # in place, as its own way is slow
+        values.set_dirty(name)
+    values.update()
+    return shape
+
+
+def _reflecting(
+    mi: Any, material: Material, colors: Floats | None, mirrored: bool
+) -> dict[str, Any]:
+    """Return a material as Mitsuba's principled BSDF; ``colors`` (F, 3, 4) are its corners'."""
+    base = np.array(material.color)
     inner: dict[str, Any] = {
         "type": "principled",
         "base_color": {"type": "rgb", "value": list(material.color)},
         "roughness": material.roughness,
         "metallic": material.metallic,
-        "specular": float(np.clip(np.mean(material.reflectance) / 0.08, 0, 1)),
     }
-    if tinted:
+    if colors is not None:
         inner["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
+        base = base * colors[..., :3].mean(axis=(0, 1))
     if material.color_map is not None:
         values = _texels(material.color_map)
         color = values[..., :3] / np.maximum(values[..., 3:], np.float32(1e-3))
-        inner["base_color"] = _texture(mi, np.clip(color * np.array(material.color), 0, 1))
+        color = np.clip(color * base, 0, 1)
+        inner["base_color"] = _texture(mi, color, material.color_map.image.wrap)
+        base = color.mean(axis=(0, 1))
     if material.roughness_map is not None:
-        gloss = _texels(material.roughness_map)
+        gloss, wrap = _texels(material.roughness_map), material.roughness_map.image.wrap
         rough = np.clip(gloss[..., 1:2] * np.float32(material.roughness), LEAST_ROUGHNESS, 1)
-        inner["roughness"] = _texture(mi, rough)
-        inner["metallic"] = _texture(mi, gloss[..., 2:3] * np.float32(material.metallic))
+        inner["roughness"] = _texture(mi, rough, wrap)
+        inner["metallic"] = _texture(mi, gloss[..., 2:3] * np.float32(material.metallic), wrap)
+    inner |= _mirror(material, base)
     if material.normal_map is not None:
-        normals = _texels(material.normal_map)[..., :3]
+        # Of a mirrored texture Mitsuba takes the downward direction for the upward one.
+        normals = _texels(material.normal_map)[..., :3] * (1, -1 if mirrored else 1, 1)
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        normal_map = _texture(mi, (normals / np.maximum(length, 1e-6) + 1) / 2)
+        bent = (normals / np.maximum(length, 1e-6) + 1) / 2
+        normal_map = _texture(mi, bent, material.normal_map.image.wrap)
         inner = {"type": "normalmap", "normalmap": normal_map, "bsdf": inner}
     if material.pattern != Pattern.PLAIN:
         surface = _baked(material)
@@ -291,19 +436,43 @@ def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
         inner["base_color"] = _texture(mi, shown)
         inner["roughness"] = _texture(mi, roughness)
         inner = {"type": "normalmap", "normalmap": _texture(mi, bent), "bsdf": inner}
-    return mi.load_dict(_masked(mi, material, {"type": "twosided", "bsdf": inner}))
+    return inner
 
 
-def _masked(mi: Any, material: Material, inner: dict[str, Any]) -> dict[str, Any]:
-    """Return a BSDF that is there by the material's alpha."""
-    opacity: Any = material.alpha
+def _mirror(material: Material, base: NDArray[np.float64]) -> dict[str, Any]:
+    """Return parameters of the principled BSDF by which a material has its specular reflectance.
+
+    An index of refraction reflects white. Its tint is toward the base color, whose mean is ``base``
+    (3,); over a black one the mirror is a metal's.
+    """
+    reflectance = np.array(material.reflectance)
+    if material.metallic == 0 and not base.any() and reflectance.any():
+        color = {"type": "rgb", "value": reflectance.tolist()}
+        return {"base_color": color, "metallic": 1.0}
+    light = float(reflectance @ LUMINANCE)
+    # At an index of one a metal would not reflect either, and at no finite one is all reflected.
+    root = math.sqrt(min(max(light, 1e-6), 0.999))
+    lean = base / max(base @ LUMINANCE, 1e-6) - 1
+    tint = (reflectance / max(light, 1e-6) - 1) @ lean / max(lean @ lean, 1e-6)
+    return {"eta": (1 + root) / (1 - root), "spec_tint": round(float(np.clip(tint, 0, 1)), 6)}
+
+
+def _masked(
+    mi: Any, material: Material, colors: Floats | None, inner: dict[str, Any]
+) -> dict[str, Any]:
+    """Return a BSDF that is there by the alpha of the material and of its corners (F, 3, 4)."""
+    opacities: list[Any] = []
+    if material.alpha < 1:
+        opacities.append(material.alpha)
     if material.color_map is not None:
         alpha = _texels(material.color_map)[..., 3:]
         if alpha.min() < 1:
-            opacity = _texture(mi, alpha * np.float32(material.alpha))
-    if opacity == 1:
-        return inner
-    return {"type": "mask", "opacity": opacity, "bsdf": inner}
+            opacities.append(_texture(mi, alpha, material.color_map.image.wrap))
+    if colors is not None and colors[..., 3].min() < 1:
+        opacities.append({"type": "mesh_attribute", "name": "vertex_alpha"})
+    for opacity in opacities:
+        inner = {"type": "mask", "opacity": opacity, "bsdf": inner}
+    return inner
 
 
 def _texels(texture: Texture) -> Floats:
@@ -313,9 +482,12 @@ def _texels(texture: Texture) -> Floats:
     return image.level(finest).astype(np.float32)
 
 
-def _texture(mi: Any, values: NDArray[Any]) -> dict[str, Any]:
+def _texture(
+    mi: Any, values: NDArray[Any], wrap: tuple[int, int] = (REPEAT, REPEAT)
+) -> dict[str, Any]:
+    """Return values (H, W, K) as a texture; of ``wrap`` to the right and downward it has one."""
     bitmap = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
-    return {"type": "bitmap", "bitmap": bitmap, "raw": True}
+    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": WRAPS[min(wrap)]}
 
 
 def _baked(material: Material) -> Surface:
