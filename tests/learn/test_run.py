@@ -304,16 +304,19 @@ def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):
 
 
 def interrupted(config, said):
-    """Learn by a run that is interrupted wherever it says something new, and goes on."""
+    """Learn by a run that is interrupted after its first training and before its graph."""
+    places = ["exporting", "a first answer"]
 
     def say(text):
-        if text not in said:
-            said.append(text)
+        said.append(text)
+        if places and text.startswith(places[-1]):
+            places.pop()
             raise KeyboardInterrupt
 
-    while True:
+    while places:
         with suppress(KeyboardInterrupt):
-            return learn(config, say)
+            learn(config, say)
+    return learn(config, say)
 
 
 @pytest.mark.slow

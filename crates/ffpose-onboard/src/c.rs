@@ -1,7 +1,7 @@
 //! The interface for C, `include/ffpose_onboard.h`, which says what each function does.
 //!
 //! No panic leaves it: each function runs in `catch_unwind`. Errors are codes, and a sentence of the thread's last one.
-#![allow(unsafe_code)]
+#![allow(unsafe_code)] // pointers of C are fenced in this one file
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
