@@ -94,10 +94,10 @@ HOLDING = """
 import os, sys, time
 from ffpose._internal.files import held
 with held(sys.argv[1]):
-    if (forked := os.fork()) == 0:
+    if os.fork() == 0:
+        print(os.getpid(), flush=True)
         time.sleep(60)  # longer than the other lives
         os._exit(0)
-    print(forked, flush=True)
     sys.stdin.read()
 """
 
