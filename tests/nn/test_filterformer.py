@@ -105,15 +105,6 @@ def test_images_do_not_mix():
     torch.testing.assert_close(model(x)[1:2], model(x[1:2]))
 
 
-@pytest.mark.slow
-def test_compile_and_export_without_graph_break():
-    model, x = encoder(filter="tokens"), torch.randn(2, 13, DIM)
-    compiled = torch.compile(model, fullgraph=True, backend="aot_eager")
-    torch.testing.assert_close(compiled(x), model(x))
-    program = torch.export.export(model, (x,))
-    torch.testing.assert_close(program.module()(x), model(x))
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [

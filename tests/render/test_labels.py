@@ -13,11 +13,27 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from beacons import LAMPS, RADIUS, beacon_scene
-from ffpose.render import SCENES, label, render, render_layers, write_dataset
+from ffpose.render import SCENES, label, render_layers, write_dataset
 from ffpose.render.layers import LAYERS
 
 SIZE = (640, 480)
 FX, FY, CX, CY = 320.0, 640.463 / 2, 320.0, 240.0
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def written(request, tmp_path_factory):
+    """Name and folder of a set with its layers."""
+    folder = tmp_path_factory.mktemp(request.param)
+    write_dataset(request.param, folder, 6, seed=2, size=SIZE, labels=LAYERS)
+    return request.param, folder
+
+
+@pytest.fixture(scope="module")
+def lamps(tmp_path_factory):
+    """Folder of a set of six lamps."""
+    folder = tmp_path_factory.mktemp("lamps")
+    write_dataset(beacon_scene(), folder, 12, seed=5, size=SIZE)
+    return folder
 
 
 def written_labels(folder):
@@ -55,11 +71,14 @@ def find_lamp(image, rgb):
     return np.array([(weight * u).sum(), (weight * v).sum()]) / total, (weight > 0).sum()
 
 
-def test_lamps_are_where_the_written_labels_say(tmp_path):
-    write_dataset(beacon_scene(), tmp_path, 8, seed=5, size=SIZE)
+def written_image(folder, index):
+    return np.asarray(Image.open(folder / f"{index}_rgb.png"), dtype=float)
+
+
+def test_lamps_are_where_the_written_labels_say(lamps):
     found = 0
-    for index, row in enumerate(written_labels(tmp_path)):
-        image = np.asarray(Image.open(tmp_path / f"{index}_rgb.png"), dtype=float)
+    for index, row in enumerate(written_labels(lamps)[:8]):
+        image = written_image(lamps, index)
         pixels, depth = to_pixels(row, [place for place, _ in LAMPS.values()])
         for n, (_, rgb) in enumerate(LAMPS.values()):
             radius = FX * RADIUS / depth[n]
@@ -102,39 +121,43 @@ def test_mask_is_the_silhouette_of_the_written_label(tmp_path, name):
         assert (mask & drawn).sum() >= 0.995 * (mask | drawn).sum()
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_silhouette_and_depth_agree_with_the_written_labels(tmp_path, name):
-    write_dataset(name, tmp_path, 4, seed=2, size=SIZE)
+def written_keypoints(folder, index):
+    with (folder / f"{index}_keypoints.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_silhouette_and_depth_agree_with_the_written_labels(written):
+    name, folder = written
     craft = SCENES[name].build()
     seen = 0
-    for index, row in enumerate(written_labels(tmp_path)):
-        layers = render_layers(name, 2, index, SIZE)
-        assert (layers.mask == (layers.depth > 0)).all()
+    for index, row in enumerate(written_labels(folder)):
+        mask = np.asarray(Image.open(folder / f"{index}_mask.png")) > 0
+        depth = np.asarray(Image.open(folder / f"{index}_depth.png")) / 1000
+        assert (mask == (depth > 0)).all()
         outline, depths = to_pixels(row, craft.mesh.vertices)
         if (outline >= 0).all() and (outline <= SIZE).all():
-            rows, columns = np.nonzero(layers.mask)
+            rows, columns = np.nonzero(mask)
             box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
             # Thin antennas may slip between pixel centers, so the box may fall short by one.
             assert (
                 np.abs(box - np.concatenate([outline.min(axis=0), outline.max(axis=0)])).max() < 2
             )
-        inside = layers.depth[layers.mask]
+        inside = depth[mask]
         assert depths.min() - 1e-3 < inside.min()
         assert inside.max() < depths.max() + 1e-3
         pixels, z = to_pixels(row, list(craft.keypoints.values()))
-        for n, point in enumerate(layers.keypoints):
-            assert np.hypot(*(pixels[n] - (point.u, point.v))) < 1e-6
-            assert point.depth == pytest.approx(z[n])
-            seen += point.visible
+        for n, point in enumerate(written_keypoints(folder, index)):
+            assert np.hypot(*(pixels[n] - (float(point["u"]), float(point["v"])))) < 1e-6
+            assert float(point["depth"]) == pytest.approx(z[n])
+            seen += int(point["visible"])
     assert seen > 4
 
 
-def test_mask_covers_what_differs_from_the_background():
+def test_mask_covers_what_differs_from_the_background(lamps):
     """Where the mask says spacecraft the image shows it: bright lamps lie inside the mask only."""
-    scene = beacon_scene()
-    frame, layers = render(scene, 5, 0, SIZE), render_layers(scene, 5, 0, SIZE)
+    image, layers = written_image(lamps, 0), render_layers(beacon_scene(), 5, 0, SIZE)
     for _, rgb in LAMPS.values():
-        center, area = find_lamp(frame.image.astype(float), rgb)
+        center, area = find_lamp(image, rgb)
         if area > 9:
             assert layers.mask[int(center[1]), int(center[0])]
 
@@ -166,38 +189,36 @@ def solve_pose(points, pixels):
     return Rotation.from_rotvec(found[:3]), found[3:]
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_pnp_on_the_written_keypoints_gives_the_label_back(tmp_path, name):
+def test_pnp_on_the_written_keypoints_gives_the_label_back(written):
+    name, folder = written
     craft = SCENES[name].build()
-    write_dataset(name, tmp_path, 6, seed=3, size=SIZE, labels=LAYERS)
     for index in range(6):
-        with (tmp_path / f"{index}_keypoints.csv").open() as file:
-            rows = list(csv.DictReader(file))
+        rows = written_keypoints(folder, index)
         pixels = np.array([[float(row["u"]), float(row["v"])] for row in rows])
         rotation, translation = solve_pose(
             np.array([craft.keypoints[row["name"]] for row in rows]), pixels
         )
-        pose = label(name, 3, index)
+        pose = label(name, 2, index)
         truth = Rotation.from_quat(pose.q, scalar_first=True)
         assert np.degrees((rotation * truth.inv()).magnitude()) < 0.01
         assert np.linalg.norm(translation - pose.t) < 1e-3
 
 
-def test_pose_solved_from_the_picture_alone_is_near_the_label():
+def test_pose_solved_from_the_picture_alone_is_near_the_label(lamps):
     """Lamps found in the image itself, no layer: what is left is their centroid's error."""
     scene, places = beacon_scene(), np.array([place for place, _ in LAMPS.values()])
     errors = []
     for index in range(12):
-        frame = render(scene, 5, index, SIZE)
-        centers = [find_lamp(frame.image.astype(float), rgb) for _, rgb in LAMPS.values()]
+        image, pose = written_image(lamps, index), label(scene, 5, index)
+        centers = [find_lamp(image, rgb) for _, rgb in LAMPS.values()]
         if min(area for _, area in centers) < 20:
             continue  # hidden, wholly or in part
         rotation, translation = solve_pose(places, np.array([center for center, _ in centers]))
-        truth = Rotation.from_quat(frame.pose.q, scalar_first=True)
+        truth = Rotation.from_quat(pose.q, scalar_first=True)
         errors.append(
             (
                 np.degrees((rotation * truth.inv()).magnitude()),
-                np.linalg.norm(translation - frame.pose.t) / np.linalg.norm(frame.pose.t),
+                np.linalg.norm(translation - pose.t) / np.linalg.norm(pose.t),
             )
         )
     assert len(errors) >= 3

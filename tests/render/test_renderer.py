@@ -93,21 +93,12 @@ def test_an_empty_frame_is_pure_and_exposed_for_itself():
         np.testing.assert_array_equal(render_empty(other, 3, index, SIZE), empty)
 
 
-def test_eclipse_is_lit_by_the_lamp_alone():
-    scene = replace(SCENES["soyuz_easy"], eclipse_rate=1.0)
-    bright = 0
-    for index in range(4):
-        image = render(scene, 0, index, SIZE).image
-        mask = render_layers(scene, 0, index, SIZE).mask
-        bright += image[mask].mean() > 20
-    assert bright >= 3
-
-
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("rate", [0.0, 1.0])
 def test_exposure_neither_hides_nor_burns_the_spacecraft(name, rate):
+    """In sunlight, and in eclipse by the lamp alone."""
     scene = replace(SCENES[name], eclipse_rate=rate)
-    for index in range(8):
+    for index in range(4):
         seen = render(scene, 3, index, SIZE).image[render_layers(scene, 3, index, SIZE).mask]
         assert np.median(seen.mean(axis=1)) > 20
         assert (seen.min(axis=1) > 250).mean() < 0.1

@@ -9,10 +9,25 @@ from safetensors.torch import load_file
 from torch import nn
 
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.training import Stage
+from ffpose.training import engine
 from ffpose.training.averaging import WARM_UP, AveragedModel
+from ffpose.training.checkpoint import TrainState
 from ffpose.training.engine import train
+from ffpose.training.run import build_run
 from tiny_runs import train_config, write_set
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return write_set(tmp_path_factory.mktemp("averaging") / "set")
+
+
+@pytest.fixture(scope="module")
+def begun_from(root):
+    """Weights that trainings begin from."""
+    path = root.parent / "initial.safetensors"
+    build_run(train_config(root, root.parent / "none", seed=7)).model.save_pretrained(path)
+    return path
 
 
 def network(seed=0):
@@ -91,55 +106,77 @@ def test_a_state_goes_on_as_if_it_had_not_been_interrupted(share):
         assert torch.equal(value, expected[name])
 
 
-def test_the_average_of_a_run_is_what_is_validated_and_saved(tmp_path):
-    root = write_set(tmp_path / "set")
-    config = train_config(root, tmp_path / "run", epochs=1, ema=0.5)
-    result = train(config, quiet=True)
-    saved = load_file(result.folder.last)
-    state = result.folder.load_state()
-    averaged = state.average["model"]
-    assert saved.keys() == averaged.keys()
-    assert all(torch.equal(saved[name], value) for name, value in averaged.items())
-    assert any(not torch.equal(saved[name], value) for name, value in state.model.items())
-    found = evaluate(result.folder.last, "urso", root, "val").summary()
-    for name in ("median_translation_error_m", "median_rotation_error_deg"):
-        assert result.history[0][f"val_{name}"] == pytest.approx(found[name], rel=1e-4)
-
-
-def test_a_share_of_the_initial_weights_stays_in_those_that_are_saved(tmp_path):
-    """Between stages too, the second of which goes on from the best of the first."""
-    root = write_set(tmp_path / "set")
-    stages = (Stage("first", 1), Stage("second", 1))
-    started = train(train_config(root, tmp_path / "first", epochs=1), quiet=True).folder.last
-    config = train_config(
-        root, tmp_path / "run", stages=stages, epochs=None, ema=0.5, init=started, init_share=0.25
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_stage_averages_anew_with_a_share_of_the_same_initial_weights(share):
+    """As the first stage did, by hand: from the weights that the network goes on from."""
+    model, generator = network(), torch.Generator().manual_seed(1)
+    average = AveragedModel(model, 0.9, share)
+    initial = copy.deepcopy(model.state_dict())
+    for _ in range(5):
+        move(model, generator)
+        average.update()
+    begun = copy.deepcopy(model.state_dict())
+    average.restart()
+    assert all(
+        torch.equal(value, begun[name]) for name, value in average.model.state_dict().items()
     )
-    folder = train(config, quiet=True).folder
-    average = folder.load_state().average
-    initial, saved = load_file(started), load_file(folder.last)
-    assert all(torch.equal(initial[name], value) for name, value in average["initial"].items())
-    assert any(not torch.equal(saved[name], value) for name, value in initial.items())
+    move(model, generator)
+    average.update()
+    stays = 1 / (1 + WARM_UP)
+    for name, value in average.model.state_dict().items():
+        if value.is_floating_point():
+            target = (1 - share) * model.state_dict()[name] + share * initial[name]
+            torch.testing.assert_close(value, stays * begun[name] + (1 - stays) * target)
+    kept = average.state_dict()["initial"]
+    assert all(torch.equal(value, initial[name]) for name, value in kept.items())
+
+
+def config(root, out, begun_from, share):
+    return train_config(root, out, epochs=1, ema=0.5, init=begun_from, init_share=share)
+
+
+@pytest.fixture(scope="module")
+def averaged(root, begun_from):
+    """A training without a share of the initial weights."""
+    return train(config(root, root.parent / "averaged", begun_from, 0.0), quiet=True)
+
+
+def test_the_average_of_a_run_is_what_is_validated_and_saved(root, averaged):
+    saved = load_file(averaged.folder.last)
+    state = averaged.folder.load_state()
+    average = state.average["model"]
+    assert saved.keys() == average.keys()
+    assert all(torch.equal(saved[name], value) for name, value in average.items())
+    assert any(not torch.equal(saved[name], value) for name, value in state.model.items())
+    found = evaluate(averaged.folder.last, "urso", root, "val").summary()
+    for name in ("median_translation_error_m", "median_rotation_error_deg"):
+        assert averaged.history[0][f"val_{name}"] == pytest.approx(found[name], rel=1e-4)
 
 
 def test_what_a_training_saves_lies_between_its_initial_weights_and_those_saved_without_share(
-    tmp_path,
+    root, begun_from, averaged, tmp_path
 ):
-    root = write_set(tmp_path / "set")
-    started = train(train_config(root, tmp_path / "first", epochs=1), quiet=True).folder.last
-    whole, shared = (
-        load_file(
-            train(
-                train_config(
-                    root, tmp_path / str(share), epochs=1, ema=0.5, init=started, init_share=share
-                ),
-                quiet=True,
-            ).folder.last
-        )
-        for share in (0.0, 0.25)
-    )
-    for name, initial in load_file(started).items():
+    shared = train(config(root, tmp_path, begun_from, 0.25), quiet=True)
+    between, whole = (load_file(result.folder.last) for result in (shared, averaged))
+    for name, initial in load_file(begun_from).items():
         if initial.is_floating_point():
-            torch.testing.assert_close(shared[name], whole[name].lerp(initial, 0.25))
+            torch.testing.assert_close(between[name], whole[name].lerp(initial, 0.25))
+
+
+def test_a_stage_begins_from_the_best_weights_and_keeps_the_share_of_the_initial_ones(
+    root, begun_from, tmp_path
+):
+    run = build_run(config(root, tmp_path, begun_from, 0.25))
+    best = {name: value + 1 for name, value in run.model.state_dict().items()}
+    engine._return_to_best(run, TrainState(best=best))
+    average = run.average.state_dict()
+    for expected, found in (
+        (best, run.model.state_dict()),
+        (best, average["model"]),
+        (load_file(begun_from), average["initial"]),
+    ):
+        assert found.keys() == expected.keys()
+        assert all(torch.equal(value, expected[name]) for name, value in found.items())
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def image_set(tmp_path_factory):
     return write_set(tmp_path_factory.mktemp("engine") / "set")
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def one_thread():
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -49,6 +49,20 @@ def one_thread():
 
 def run_quietly(config, **options):
     return train(config, quiet=True, **options)
+
+
+@pytest.fixture(scope="module")
+def trained(image_set, tmp_path_factory, one_thread):
+    """A run of one epoch, whose folder stays as it is."""
+    out = tmp_path_factory.mktemp("engine") / "run"
+    return run_quietly(train_config(image_set, out, epochs=1))
+
+
+@pytest.fixture
+def begun(image_set, trained, tmp_path):
+    """The configuration of that run, in a copy of its folder."""
+    out = shutil.copytree(trained.folder.root, tmp_path / "run")
+    return train_config(image_set, out, epochs=1)
 
 
 def same_files(first, second):
@@ -84,17 +98,18 @@ def test_a_run_leaves_its_files_and_nothing_else(image_set, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("workers", "fields"), [(0, {"ema": 0.9, "accumulate": 2}), (2, {})])
+@pytest.mark.parametrize(
+    ("workers", "epochs", "fields"), [(0, 3, {"ema": 0.9, "accumulate": 2}), (2, 2, {})]
+)
 def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
-    image_set, tmp_path, workers, fields
+    image_set, tmp_path, workers, epochs, fields
 ):
-    whole = train_config(image_set, tmp_path / "whole", epochs=3, **fields)
+    whole = train_config(image_set, tmp_path / "whole", epochs=epochs, **fields)
     whole = replace(whole, data=replace(whole.data, workers=workers))
     run_quietly(whole)
     part = replace(whole, out=tmp_path / "part")
-    run_quietly(replace(part, epochs=1))
-    run_quietly(replace(part, epochs=2), resume=True)
-    run_quietly(part, resume=True)
+    for done in range(epochs):
+        run_quietly(replace(part, epochs=done + 1), resume=done > 0)
     assert same_files(tmp_path / "whole", tmp_path / "part")
     assert without_times(tmp_path / "whole/results.csv") == without_times(
         tmp_path / "part/results.csv"
@@ -104,13 +119,13 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
 @pytest.mark.slow
 @pytest.mark.parametrize("before", [0, 1])
 def test_a_kill_between_weights_and_state_costs_the_epoch_alone(
-    image_set, tmp_path, monkeypatch, before
+    image_set, trained, tmp_path, monkeypatch, before
 ):
     whole = train_config(image_set, tmp_path / "whole", epochs=before + 1)
-    run_quietly(whole)
     killed = replace(whole, out=tmp_path / "killed")
-    if before:
-        run_quietly(replace(killed, epochs=before))
+    for config in (whole, killed) if before else ():
+        shutil.copytree(trained.folder.root, config.out)
+    run_quietly(whole, resume=True)
 
     def kill(*_):
         raise KeyboardInterrupt
@@ -129,13 +144,8 @@ def test_what_a_killed_training_left_is_removed_at_the_next_start(image_set, tmp
     left = config.out / ".ffpose-left"
     left.mkdir(parents=True)
     (left / "state.pt").write_bytes(b"cut off")
-    run_quietly(config, resume=resume)
+    assert len(run_quietly(config, resume=resume).history) == 1
     assert not left.exists()
-
-
-def test_resume_where_no_epoch_was_finished_begins(image_set, tmp_path):
-    result = run_quietly(train_config(image_set, tmp_path / "new", epochs=1), resume=True)
-    assert len(result.history) == 1
 
 
 def test_the_wait_for_data_is_measured(image_set, tmp_path):
@@ -172,19 +182,15 @@ def test_the_time_of_workers_counts_once_they_have_ended():
     assert cpu_seconds() - before > 0.25
 
 
-def test_resuming_a_finished_run_changes_nothing(image_set, tmp_path):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
-    before = (config.out / "last.safetensors").read_bytes()
-    assert len(run_quietly(config, resume=True).history) == 1
-    assert (config.out / "last.safetensors").read_bytes() == before
+def test_resuming_a_finished_run_changes_nothing(begun):
+    before = (begun.out / "last.safetensors").read_bytes()
+    assert len(run_quietly(begun, resume=True).history) == 1
+    assert (begun.out / "last.safetensors").read_bytes() == before
 
 
-def test_a_run_is_not_overwritten(image_set, tmp_path):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
+def test_a_run_is_not_overwritten(begun):
     with pytest.raises(FileExistsError, match="holds a training run"):
-        run_quietly(config)
+        run_quietly(begun)
 
 
 @pytest.mark.parametrize("resume", [False, True])
@@ -211,32 +217,24 @@ def test_resume_takes_another_spelling_of_a_path(image_set, tmp_path, monkeypatc
         folder._check_config(replace(config, data=replace(data, scene="scene.json")))
 
 
-def test_resume_refuses_another_configuration(image_set, tmp_path):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
-    with pytest.raises(ValueError, match=r"batch_size: expected 4, got 2; seed: expected 0, got 1"):
-        run_quietly(replace(config, seed=1, batch_size=2), resume=True)
-    with pytest.raises(ValueError, match="expected stages that begin with the 1 finished"):
-        run_quietly(replace(config, stages=(Stage("other", 2),)), resume=True)
-
-
 @pytest.mark.parametrize(
-    "change",
+    ("change", "message"),
     [
-        {"seed": 1},
-        {"stages": (Stage("other", 2),)},
-        {"data": DataConfig("urso", Path("no such set"))},
-        {"epochs": 2, "device": "no such device"},
+        (
+            {"seed": 1, "batch_size": 2},
+            "batch_size: expected 4, got 2; seed: expected 0, got 1",
+        ),
+        ({"stages": (Stage("other", 2),)}, "expected stages that begin with the 1 finished"),
+        ({"data": DataConfig("urso", Path("no such set"))}, "no such set"),
+        ({"epochs": 2, "device": "no such device"}, "device: expected auto, .*no such device"),
     ],
-    ids=["seed", "stages", "data", "device"],
+    ids=["fields", "stages", "data", "device"],
 )
-def test_a_resume_that_is_refused_changes_no_file(image_set, tmp_path, change):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
-    before = {path.name: path.read_bytes() for path in config.out.iterdir()}
-    with pytest.raises((ValueError, OSError, RuntimeError)):
-        run_quietly(replace(config, **change), resume=True)
-    assert {path.name: path.read_bytes() for path in config.out.iterdir()} == before
+def test_a_resume_that_is_refused_changes_no_file(begun, change, message):
+    before = {path.name: path.read_bytes() for path in begun.out.iterdir()}
+    with pytest.raises((ValueError, OSError), match=message):
+        run_quietly(replace(begun, **change), resume=True)
+    assert {path.name: path.read_bytes() for path in begun.out.iterdir()} == before
 
 
 def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
@@ -245,11 +243,9 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_resumes_with_the_same_images_in_another_folder(image_set, tmp_path):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
-    moved = replace(config.data, root=shutil.copytree(image_set, tmp_path / "moved"))
-    assert len(run_quietly(replace(config, data=moved, epochs=2), resume=True).history) == 2
+def test_a_run_resumes_with_the_same_images_in_another_folder(begun, image_set, tmp_path):
+    moved = replace(begun.data, root=shutil.copytree(image_set, tmp_path / "moved"))
+    assert len(run_quietly(replace(begun, data=moved, epochs=2), resume=True).history) == 2
 
 
 @pytest.mark.parametrize(
@@ -257,22 +253,20 @@ def test_a_run_resumes_with_the_same_images_in_another_folder(image_set, tmp_pat
     [({"seed": 1}, 0), ({"train": 11}, 0), ({}, 50.0)],
     ids=["labels", "one more", "camera"],
 )
-def test_resume_refuses_other_images_labels_and_cameras(image_set, tmp_path, fields, focal_length):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
+def test_resume_refuses_other_images_labels_and_cameras(begun, tmp_path, fields, focal_length):
     other = write_set(tmp_path / "other", **fields)
     if focal_length:
         Camera(64, 48, focal_length, focal_length, 32.0, 24.0).write(other / "camera.json")
-    data = replace(config.data, root=other)
+    data = replace(begun.data, root=other)
     with pytest.raises(ValueError, match=r"data: expected 10 images .* got 1[01] images .*--init"):
-        run_quietly(replace(config, data=data, epochs=2), resume=True)
+        run_quietly(replace(begun, data=data, epochs=2), resume=True)
 
 
-def test_tuples_among_the_model_fields_resume(image_set, tmp_path):
-    fields = MODEL_FIELDS | {"image_size": (64, 64)}
-    config = train_config(image_set, tmp_path / "run", epochs=1, model_fields=fields)
-    run_quietly(config)
-    assert len(run_quietly(replace(config, epochs=2), resume=True).history) == 2
+def test_tuples_among_the_model_fields_resume(begun):
+    config = replace(begun, model_fields=MODEL_FIELDS | {"image_size": (64, 64)})
+    folder = RunFolder(config.out)
+    folder.begin(config)
+    assert len(folder.open(config, resume=True).history) == 1
 
 
 def cut(data):
@@ -285,19 +279,16 @@ def flip_one_bit(data):
 
 
 @pytest.mark.parametrize("damage", [cut, flip_one_bit])
-def test_resume_refuses_a_damaged_state(image_set, tmp_path, damage):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    run_quietly(config)
-    state = config.out / "state.pt"
+def test_resume_refuses_a_damaged_state(begun, damage):
+    state = begun.out / "state.pt"
     state.write_bytes(damage(state.read_bytes()))
     with pytest.raises(DataError, match=r"state\.pt: damaged, or not a checkpoint"):
-        run_quietly(config, resume=True)
+        run_quietly(begun, resume=True)
 
 
-def test_another_seed_gives_another_model(image_set, tmp_path):
-    run_quietly(train_config(image_set, tmp_path / "a", epochs=1))
-    run_quietly(train_config(image_set, tmp_path / "b", epochs=1, seed=1))
-    assert not same_files(tmp_path / "a", tmp_path / "b")
+def test_another_seed_gives_another_model(image_set, trained, tmp_path):
+    other = run_quietly(train_config(image_set, tmp_path, epochs=1, seed=1))
+    assert not same_files(trained.folder.root, other.folder.root)
 
 
 def test_weights_remember_how_images_are_read(image_set, tmp_path):
@@ -309,14 +300,12 @@ def test_weights_remember_how_images_are_read(image_set, tmp_path):
     assert metadata.preprocessing.size == (64, 64)
 
 
-def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
+def test_images_are_standardized_as_the_backbone_expects(image_set, trained, tmp_path):
     """By the halves of mobilenetv4_conv_small_050, by which black is -1 and white is 1."""
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    config = replace(config, data=replace(config.data, augment=False))
-    run_quietly(config)
-    saved = read_metadata(tmp_path / "run/best.safetensors").preprocessing
+    saved = read_metadata(trained.folder.best).preprocessing
     assert (saved.mean, saved.std, saved.interpolation) == ((0.5,) * 3, (0.5,) * 3, "bicubic")
-    run = build_run(config)
+    config = train_config(image_set, tmp_path / "run")
+    run = build_run(replace(config, data=replace(config.data, augment=False)))
     assert run.task.preprocessing == saved
     for dataset in (run.task.train_set, run.task.val_set):
         assert dataset.preprocessing == saved
@@ -324,19 +313,6 @@ def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
             pixels = np.asarray(image.resize((64, 64), Image.Resampling.BICUBIC), np.float32)
         expected = torch.from_numpy(pixels / 127.5 - 1).permute(2, 0, 1)
         torch.testing.assert_close(dataset[0].image, expected)
-
-
-def test_frozen_parts_do_not_change(image_set, tmp_path):
-    frozen = ("backbone", "orientation_branch")
-    stages = (Stage("joint", 1), Stage("translation", 1, frozen))
-    config = train_config(image_set, tmp_path / "run", epochs=None, stages=stages)
-    run_quietly(replace(config, stages=stages[:1]))
-    before = load_file(tmp_path / "run/last.safetensors")
-    run_quietly(config, resume=True)
-    after = load_file(tmp_path / "run/last.safetensors")
-    changed = {name for name in before if not torch.equal(before[name], after[name])}
-    assert changed
-    assert all(name.startswith("translation_branch") for name in changed)
 
 
 @pytest.fixture
@@ -350,32 +326,23 @@ def best_at_first(monkeypatch):
 TWO_STAGES = (Stage("joint", 2), Stage("translation", 2, ("backbone", "orientation_branch")))
 
 
-@pytest.mark.parametrize("ema", [0.0, 0.9])
-def test_a_stage_starts_from_the_best_weights_so_far(image_set, tmp_path, best_at_first, ema):
+@pytest.mark.parametrize(
+    ("ema", "interrupted"),
+    [(0.0, False), (0.9, False), (0.9, True)],
+    ids=["plain", "ema", "resumed"],
+)
+def test_a_stage_starts_from_the_best_weights_so_far_and_trains_what_is_not_frozen(
+    image_set, tmp_path, best_at_first, ema, interrupted
+):
     config = train_config(image_set, tmp_path / "run", epochs=None, stages=TWO_STAGES, ema=ema)
-    result = run_quietly(config)
+    if interrupted:
+        run_quietly(replace(config, stages=TWO_STAGES[:1]))
+    result = run_quietly(config, resume=interrupted)
     assert result.best_epoch == 1
     best, last = (load_file(config.out / f"{name}.safetensors") for name in ("best", "last"))
     changed = {name for name in best if not torch.equal(best[name], last[name])}
     assert changed
     assert all(name.startswith("translation_branch") for name in changed)
-
-
-@pytest.mark.slow
-def test_a_run_resumed_between_two_stages_equals_an_uninterrupted_one(
-    image_set, tmp_path, best_at_first
-):
-    whole = train_config(image_set, tmp_path / "whole", epochs=None, stages=TWO_STAGES, ema=0.9)
-    run_quietly(whole)
-    part = replace(whole, out=tmp_path / "part")
-    for stages in (TWO_STAGES[:1], (TWO_STAGES[0], replace(TWO_STAGES[1], epochs=1)), TWO_STAGES):
-        run_quietly(replace(part, stages=stages), resume=(part.out / "state.pt").exists())
-    assert same_files(whole.out, part.out)
-    assert without_times(whole.out / "results.csv") == without_times(part.out / "results.csv")
-
-
-def test_the_learned_weight_of_a_frozen_branch_stays(image_set, tmp_path):
-    result = run_quietly(train_config(image_set, tmp_path, epochs=None, stages=TWO_STAGES))
     s_q, s_t = ([row[name] for row in result.history] for name in ("s_q", "s_t"))
     assert s_q[1] == s_q[2] == s_q[3] != s_q[0]
     assert len(set(s_t)) == 4
@@ -447,18 +414,16 @@ def test_weights_in_half_precision_take_half_the_room(image_set, tmp_path):
         torch.testing.assert_close(value, trained[name], rtol=2**-11, atol=2**-25)
 
 
-def test_autocast_computes_in_half_and_keeps_whole_weights(image_set, tmp_path):
-    losses = {}
-    for kind in ("none", "bfloat16"):
-        config = train_config(image_set, tmp_path / kind, epochs=1, autocast=kind)
-        result = run_quietly(config)
-        losses[kind] = result.history[0]["train_translation_loss"]
+def test_autocast_computes_in_half_and_keeps_whole_weights(image_set, trained, tmp_path):
+    half = run_quietly(train_config(image_set, tmp_path, epochs=1, autocast="bfloat16"))
+    for result in (trained, half):
         assert {p.dtype for p in load_file(result.folder.last).values()} <= {
             torch.float32,
             torch.int64,
         }
-    assert losses["bfloat16"] != losses["none"]
-    assert losses["bfloat16"] == pytest.approx(losses["none"], rel=0.1)
+    whole, loss = (result.history[0]["train_translation_loss"] for result in (trained, half))
+    assert loss != whole
+    assert loss == pytest.approx(whole, rel=0.1)
 
 
 def test_auto_is_what_the_processor_has_instructions_for(image_set, tmp_path):
@@ -516,7 +481,9 @@ def test_training_lowers_the_loss(image_set, tmp_path):
     config = train_config(
         image_set,
         tmp_path / "run",
-        epochs=12,
+        epochs=6,
+        batch_size=10,
+        model_fields=MODEL_FIELDS | {"dropout": 0.0},
         optimizer=OptimizerConfig(learning_rate=3e-3, schedule="cosine", clip_norm=1.0),
     )
     config = replace(config, data=replace(config.data, augment=False, cache=True))

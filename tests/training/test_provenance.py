@@ -27,10 +27,15 @@ def image_set(tmp_path_factory):
     return write_set(tmp_path_factory.mktemp("provenance") / "set")
 
 
-def test_the_weights_of_a_run_tell_how_they_were_made(image_set, tmp_path):
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    folder = train(config, quiet=True).folder
-    for path in (folder.best, folder.last):
+@pytest.fixture(scope="module")
+def trained(image_set, tmp_path_factory):
+    """The folder of a run of one epoch."""
+    out = tmp_path_factory.mktemp("provenance") / "run"
+    return train(train_config(image_set, out, epochs=1), quiet=True).folder
+
+
+def test_the_weights_of_a_run_tell_how_they_were_made(trained):
+    for path in (trained.best, trained.last):
         metadata = read_metadata(path)
         assert metadata.backbone_source == "none"
         assert metadata.recipe["optimizer"]["learning_rate"] == 1e-3
@@ -40,10 +45,9 @@ def test_the_weights_of_a_run_tell_how_they_were_made(image_set, tmp_path):
         assert metadata.data["image_size"] == [48, 64]
 
 
-def test_the_weights_of_a_run_know_its_camera(image_set, tmp_path):
+def test_the_weights_of_a_run_know_its_camera(trained):
     """URSO's, 640 and 640.463 pixels of 1280x960, at 64x48 and squeezed to 64x64."""
-    config = train_config(image_set, tmp_path / "run", epochs=1)
-    metadata = read_metadata(train(config, quiet=True).folder.best)
+    metadata = read_metadata(trained.best)
     assert metadata.config.camera == pytest.approx((32.0, 640.463 / 15, 32.0, 32.0))
     assert metadata.camera.fy == pytest.approx(640.463 / 20)
 
@@ -72,8 +76,8 @@ def test_a_resumed_run_knows_its_backbone_and_needs_no_pretrained_weights(
     assert asked == ["auto", "none"]
 
 
-def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
-    weights = train(train_config(image_set, tmp_path / "a", epochs=1), quiet=True).folder.last
+def test_a_run_begins_from_the_weights_that_it_names(trained, image_set, tmp_path):
+    weights = Path(shutil.copy(trained.last, tmp_path))
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     config = train_config(image_set, tmp_path / "b", epochs=1, seed=1, init=weights)
     begun = build_run(config).model.state_dict()
@@ -104,12 +108,12 @@ def test_initial_weights_that_there_are_none_of_are_told_first(init, words, tmp_
         build_run(train_config(tmp_path / "no_set", tmp_path / "run", init=Path(init)))
 
 
-def test_weights_remember_the_whole_chain_that_they_come_from(image_set, tmp_path):
-    init, digests = None, []
-    for number in range(3):
+def test_weights_remember_the_whole_chain_that_they_come_from(trained, image_set, tmp_path):
+    init, digests = trained.last, []
+    for number in (1, 2):
+        digests.append(hashlib.sha256(init.read_bytes()).hexdigest())
         config = train_config(image_set, tmp_path / f"{number}", epochs=1, init=init, seed=number)
         init = train(config, quiet=True).folder.last
-        digests.append(hashlib.sha256(init.read_bytes()).hexdigest())
     last = read_metadata(init).recipe
     first = last["init"]["recipe"]["init"]["recipe"]
     assert last["init"]["sha256"] == digests[1]
@@ -146,13 +150,12 @@ def test_the_digest_is_that_of_names_and_labels(image_set, tmp_path):
     assert described["digest"] != describe_images(run.task.val_set, run.config.data)["digest"]
 
 
-def test_weights_carry_the_mean_pose_that_evaluation_compares_with(image_set, tmp_path):
-    run = train(train_config(image_set, tmp_path / "run", epochs=1), quiet=True)
+def test_weights_carry_the_mean_pose_that_evaluation_compares_with(trained, image_set, tmp_path):
     test_alone = shutil.copytree(
         image_set, tmp_path / "test", ignore=shutil.ignore_patterns("train_*", "val_*", "gt.csv")
     )
-    alone = evaluate(run.folder.best, "urso", test_alone)
+    alone = evaluate(trained.best, "urso", test_alone)
     expected = mean_pose(
-        open_dataset("urso", image_set, "train", read_metadata(run.folder.best).preprocessing).poses
+        open_dataset("urso", image_set, "train", read_metadata(trained.best).preprocessing).poses
     )
     np.testing.assert_allclose(alone.baseline, expected, atol=1e-12)

@@ -103,11 +103,11 @@ def test_interrupted_and_damaged_sets_are_completed(folder, tmp_path):
 
 
 def test_altered_image_is_rendered_again(folder, tmp_path):
-    write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
-    Image.new("RGB", SIZE).save(tmp_path / "4_rgb.png")
-    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    shutil.copytree(folder, tmp_path / "set")
+    Image.new("RGB", SIZE).save(tmp_path / "set" / "4_rgb.png")
+    done = write_dataset("soyuz_easy", tmp_path / "set", 12, seed=7, size=SIZE)
     assert (done.rendered, done.kept) == (1, 11)
-    assert contents(tmp_path) == contents(folder)
+    assert contents(tmp_path / "set") == contents(folder)
 
 
 def test_shards_in_any_order_make_the_set(folder, tmp_path):
