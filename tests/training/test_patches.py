@@ -317,16 +317,17 @@ def test_coordinates_of_a_polar_cell_are_seen_in_it(polar, dotted):
 
 def test_empty_polar_views_are_sampled_as_those_of_the_object(polar, dotted):
     """One color is one color; pictures that are no scenes are cyclic along the angle."""
-    batch = all_of(
-        batches(polar, [dotted], [green(2), green(3)], cells=POLAR_CELLS, empty=0.5), seed=3
-    )
-    half, scenes = COUNT // 2, COUNT // 4
+    sure = {"look_lateral": 0.01, "look_distance": 0.01, "look_outliers": 0.0}
+    views = batches(polar, [dotted], greens(dotted), cells=POLAR_CELLS, empty=0.5, **sure)
+    batch = all_of(views, seed=3)
+    half, others = COUNT // 2, COUNT // 8
     color = torch.tensor([0, 200 / 255 / STD, 0])[:, None, None]
-    torch.testing.assert_close(batch.crops[:scenes], color.expand_as(batch.crops[:scenes]))
-    pictures = batch.crops[scenes:half, :, 0]  # the innermost rings, of half a pixel
+    scenes = batch.crops[others:half]
+    torch.testing.assert_close(scenes, color.expand_as(scenes))
+    pictures = batch.crops[:others, :, 0]  # the innermost rings, of half a pixel
     seam = (pictures[..., 0] - pictures[..., -1]).abs().mean()
     assert seam < 2 * (pictures[..., 1:] - pictures[..., :-1]).abs().mean()
-    outermost = batch.crops[scenes:half, :, -1]
+    outermost = batch.crops[:others, :, -1]
     assert (pictures.std(-1) < outermost.std(-1)).float().mean() > 0.7
 
 
@@ -408,12 +409,14 @@ def test_part_of_the_samples_have_frames(model, dotted):
 @pytest.mark.parametrize("size", [2, 4, 8])
 def test_batches_of_any_size_have_the_shares_that_are_asked_for(model, dotted, size):
     """In the mean: of four samples a share of 0.12 is none when it is rounded to the nearest."""
-    views = batches(model, [dotted], [green(2)], empty=0.12, frames=0.6)
+    views = batches(model, [dotted], greens(dotted), empty=0.12, frames=0.6)
     generator, count = torch.Generator().manual_seed(0), 800 // size
     made = [views.stored(torch.arange(size), generator) for _ in range(count)]
-    lacking = sum(size - len(each.windows) for each in made) / 800
+    lacking = sum(each.negatives for each in made) / 800
+    scenes = sum(len(each.windows) - size + each.negatives for each in made) / 800
     frames = sum(len(each.frames) for each in made) / 800
     assert lacking == pytest.approx(0.12, abs=0.04)
+    assert scenes == pytest.approx(0.75 * lacking, abs=0.03)
     assert frames == pytest.approx(0.6, abs=0.06)
     assert {len(each.windows) for each in made} == {size, size - 1}
 
@@ -451,25 +454,39 @@ def test_an_epoch_of_no_batches_is_refused(model, dotted, size):
         batches(model, [dotted]).epoch(0, size)
 
 
-def green(count):
-    return {
-        "windows": np.tile(np.array([0, 200, 0], np.uint8), (count, 144, 144, 1)),
-        "labels": np.zeros((count, 13)),
-    }
+def greens(dotted):
+    """Two sets of one color where objects would be."""
+    window = np.array([0, 200, 0], np.uint8)
+    return [
+        {"windows": np.tile(window, (count, 144, 144, 1)), "labels": dotted["labels"][:count]}
+        for count in (2, 3)
+    ]
 
 
 def test_samples_without_an_object_are_marked(model, dotted):
     plain = all_of(batches(model, [dotted]))
     assert plain.present.all()
-    batch = all_of(batches(model, [dotted], [green(2), green(3)], empty=0.5))
-    half, scenes = COUNT // 2, COUNT // 4
+    sure = {"look_lateral": 0.01, "look_distance": 0.01, "look_outliers": 0.0}
+    batch = all_of(batches(model, [dotted], greens(dotted), empty=0.5, **sure))
+    half, others = COUNT // 2, COUNT // 8
     assert batch.present.tolist() == [False] * half + [True] * half
     color = torch.tensor([0, 200 / 255 / STD, 0])[:, None, None]
-    empty = batch.crops[:scenes]
-    torch.testing.assert_close(empty, color.expand_as(empty))  # half of them empty scenes
-    for picture in batch.crops[scenes:half]:
+    scenes = batch.crops[others:half]  # three quarters of them
+    torch.testing.assert_close(scenes, color.expand_as(scenes))
+    for picture in batch.crops[:others]:
         assert (picture - color).abs().max() > 0.05
     assert all_of(batches(model, [dotted], empty=0.5)).crops[:half].std(dim=(1, 2, 3)).min() > 1e-3
+
+
+def test_what_is_not_the_object_is_looked_at_as_if_it_were(model, dotted, origins):
+    """By a first look that takes it for the object, and its size for the object's."""
+    half, others, sure = COUNT // 2, COUNT // 8, {"look_lateral": 0.0, "look_distance": 0.0}
+    views = all_of(batches(model, [dotted], [origins], empty=0.5, **sure)).crops[others:half]
+    np.testing.assert_allclose(centroids(views), SIDE / 2, atol=0.12)
+    offset = all_of(batches(model, [dotted], [origins], empty=0.5, look_outliers=0.0)).offset
+    # Three times as wrong as of the object, whose errors are 0.16, 0.16 and 0.36.
+    np.testing.assert_allclose(offset[:half].std(dim=0), [0.48, 0.48, 1.08], rtol=0.6)
+    np.testing.assert_allclose(offset[half:].std(dim=0), [0.16, 0.16, 0.36], rtol=0.6)
 
 
 def test_what_shows_no_object_is_not_the_objects_picture(model, dotted):

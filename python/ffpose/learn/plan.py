@@ -33,6 +33,10 @@ budget."""
 NEAR_DIAMETERS, FAR_DIAMETERS = 1.5, 8.0
 """Default distances, in diameters of the spacecraft's bounding sphere."""
 
+ROOM_IN_VIEW = 1.2
+"""Least default distance relative to that at which the bounding sphere fills a narrow camera's
+view."""
+
 VIEW_MARGIN = 1.1
 """Radius of the virtual camera's view relative to that sphere's."""
 
@@ -72,12 +76,12 @@ FIRST_STRIDES = (8, 4, 2)
 """Factors by which the first look's frame is smaller than the network's input."""
 
 KINDS = {
-    "count": 0.46,
-    "cut": 0.11,
+    "count": 0.44,
+    "cut": 0.1,
     "randomized": 0.2,
-    "dusk": 0.09,
+    "dusk": 0.08,
     "empty": 0.06,
-    "decoys": 0.08,
+    "decoys": 0.12,
 }
 """Shares of the views: plain, cut by the border, randomized, in the light of a low sun, without the
 spacecraft, of other spacecraft."""
@@ -147,9 +151,9 @@ def plan_trainings(
     Examples:
         >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
         >>> first
-        TrainingPlan(name='first', views=3820, epochs=36, rendered=0)
+        TrainingPlan(name='first', views=3857, epochs=37, rendered=0)
         >>> second
-        TrainingPlan(name='second', views=25073, epochs=38, rendered=3820)
+        TrainingPlan(name='second', views=25035, epochs=40, rendered=3857)
     """
     seconds = _training_seconds(minutes, speed)
     whole = FIRST_SHARE * seconds
@@ -198,12 +202,12 @@ def replanned(
         >>> speed = Speed(views=30, samples=400)
         >>> first, second = plan_trainings(40, speed)
         >>> second
-        TrainingPlan(name='second', views=16713, epochs=38, rendered=2446)
+        TrainingPlan(name='second', views=16686, epochs=40, rendered=2471)
         >>> spent = first.seconds(speed) + first.seconds_besides(speed)
         >>> replanned(second, first, 40, speed, spent) == second
         True
         >>> replanned(second, first, 40, speed, 2 * spent)
-        TrainingPlan(name='second', views=5845, epochs=42, rendered=2446)
+        TrainingPlan(name='second', views=5865, epochs=44, rendered=2471)
     """
     slower = max(1.0, spent / (first.seconds(speed) + first.seconds_besides(speed)))
     slowed = replace(speed, views=speed.views / slower, samples=speed.samples / slower)
@@ -211,6 +215,40 @@ def replanned(
     left = 60 * minutes - slower * (held_back + first.seconds(speed))
     smaller = _plan(second.name, left, slowed, first.views, second.views)
     return smaller if smaller.seconds(speed) < second.seconds(speed) else second
+
+
+def default_distances(reach_m: float, camera: Camera) -> tuple[float, float]:
+    """Return the default least and greatest distance, meters.
+
+    They are `NEAR_DIAMETERS` and `FAR_DIAMETERS`; for a camera whose view the spacecraft does not
+    fit into at the least, both are as many times as far as it needs.
+
+    Args:
+        reach_m: Radius of the bounding sphere, or what stands for it.
+        camera: Of the images.
+
+    Examples:
+        >>> default_distances(1.0, DEFAULT_CAMERA)
+        (3.0, 16.0)
+        >>> near, far = default_distances(1.0, Camera(512, 512, 2000.0, 2000.0, 256.0, 256.0))
+        >>> round(near, 1), round(far, 1)
+        (9.5, 50.4)
+    """
+    slopes = (
+        min(camera.cx, camera.width - camera.cx) / camera.fx,
+        min(camera.cy, camera.height - camera.cy) / camera.fy,
+    )
+    near, far = 2 * reach_m * NEAR_DIAMETERS, 2 * reach_m * FAR_DIAMETERS
+    slope = min(slopes)
+    fits = ROOM_IN_VIEW * reach_m * math.hypot(1, slope) / slope if slope > 0 else near
+    farther = max(1.0, fits / near)
+    return near * farther, far * farther
+
+
+def whole_seconds(plans: tuple[TrainingPlan, TrainingPlan], speed: Speed) -> float:
+    """Return what a whole run takes, with all that is held back for."""
+    held_back = HELD_BACK_VIEWS / speed.views + HELD_BACK_S
+    return sum(plan.seconds(speed) for plan in plans) + held_back
 
 
 def image_size(camera: Camera) -> tuple[int, int]:
@@ -314,7 +352,7 @@ def training(
         weights_dtype="float16",
         optimizer=replace(ADAMW, warmup_epochs=0.5),
         object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
-        views=PatchAugmentation(empty=0.12, jpeg=0.1, monochrome=0.2, frames=0.4),
+        views=PatchAugmentation(empty=0.15, jpeg=0.1, monochrome=0.2, frames=0.4),
         seed=seed,
         device=device,
         symmetry=symmetry,

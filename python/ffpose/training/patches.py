@@ -14,8 +14,8 @@ of other resolutions, which they do not know.
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
 once from whole patches, and processes on the CPU only read those (`PatchBatches.stored`).
 
-Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
-and images that are not scenes at all.
+Some samples are negatives, so that the network learns whether the object is in view: empty scenes
+and other spacecraft, looked at as if the object were there, and images that are not scenes at all.
 """
 
 from __future__ import annotations
@@ -56,6 +56,12 @@ CPU = torch.device("cpu")
 OUTLIER = 5.0
 """Errors of a first look that misses relative to those of one that does not."""
 
+NEGATIVE = 3.0
+"""The same of a first look at what is not the object, whose size it takes for the object's."""
+
+SCENES = 0.75
+"""Share of the negatives that are scenes, where a set has any."""
+
 FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
 
@@ -92,24 +98,26 @@ class PatchBatch(NamedTuple):
 
 
 class StoredBatch(NamedTuple):
-    """What is stored of ``B`` samples, of which the first E show no object.
+    """What is stored of ``B`` samples, of which the first are negatives, and of these no scenes.
 
     Attributes:
         frames: ``(F, h, w, 3)`` uint8, of the first F samples.
-        windows: ``(B - E, S, S, 3)`` uint8, of the samples after the first E.
-        empty: ``(N, S, S, 3)`` uint8, windows without an object for the first N samples.
+        translation: ``(F, 3)`` float32, where they show the object, meters.
+        windows: ``(B - C, S, S, 3)`` uint8, of the samples that are scenes, after the first C.
         coordinates: ``(B, S/2, S/2, 4)`` uint8.
-        labels: ``(B, 13)`` float32.
+        labels: ``(B, 13)`` float32, of the windows; of the first C, of images of the set.
         index: ``(B,)``, indices of the samples in the set.
+        negatives: Number of samples that do not show the object.
         seed: Of the random numbers of their augmentation.
     """
 
     frames: Tensor
+    translation: Tensor
     windows: Tensor
-    empty: Tensor
     coordinates: Tensor
     labels: Tensor
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
+    negatives: int
     seed: int
 
 
@@ -185,24 +193,28 @@ class PatchBatches:
         """
         a, count = self.augmentation, len(index)
         first = max(1, _rounded(a.frames * count, generator))
-        lacking = min(_rounded(a.empty * count, generator), count - 1)
-        scenes = lacking - lacking // 2 if self.empty else 0
-        empty = np.zeros((0, *self.sets[0]["windows"].shape[1:]), np.uint8)
+        negatives = min(_rounded(a.empty * count, generator), count - 1)
+        scenes = _rounded(SCENES * negatives, generator) if self.empty else 0
+        windows, labels = self._gather("windows", index[negatives:]), self._gather("labels", index)
+        translation = labels[:first, :3].copy()
         if scenes:
             chosen = torch.randint(len(self.empty_places), (scenes,), generator=generator)
             empty = _rows(self.empty, self.empty_places, "windows", chosen)
-        windows = self._gather("windows", index[lacking:])
+            windows = np.concatenate((empty, windows))
+            rows = slice(negatives - scenes, negatives)
+            labels[rows] = _rows(self.empty, self.empty_places, "labels", chosen)
         if a.jpeg > 0:
-            for window in (*empty, *windows):
+            for window in windows:
                 if draw(generator) < a.jpeg:
                     window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
         return StoredBatch(
             torch.from_numpy(self._gather("frames", index[:first])),
+            torch.from_numpy(translation).float(),
             torch.from_numpy(windows),
-            torch.from_numpy(empty),
             torch.from_numpy(self._gather("coordinates", index)),
-            torch.from_numpy(self._gather("labels", index)).float(),
+            torch.from_numpy(labels).float(),
             index,
+            negatives,
             int(torch.randint(1 << 62, (), generator=generator)),
         )
 
@@ -210,20 +222,21 @@ class PatchBatches:
         """Return what both looks see of stored samples, on the device of this set."""
         a, device, count = self.augmentation, self.device, len(stored.labels)
         generator = torch.Generator(device).manual_seed(stored.seed)
-        frames, windows, empty, coordinates, labels = (part.to(device) for part in stored[:5])
+        frames, t_frame, windows, coordinates, labels = (part.to(device) for part in stored[:5])
+        frames, t_frame = self._turned_frames(_images(frames), t_frame, generator)
         t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
-        frames, t_frame = self._turned_frames(_images(frames), t[: len(frames)], generator)
-        points = self._looked_at(t, generator)
+        present = torch.arange(count, device=device) >= stored.negatives
+        points = self._looked_at(t, present, generator)
         shares = torch.rand(count, generator=generator, device=device)
         view = self.model.view_at(points, math.radians(a.twist_deg) * (2 * shares - 1))
         turn = self._canonical(view.rotation @ rotation)
         rotation = rotation @ turn
         intrinsics = labels[:, 7:11]
-        lacking = count - len(windows)
-        pixels = source_pixels(view.of(slice(lacking, None)), intrinsics[lacking:])
+        no_scenes = count - len(windows)
+        pixels = source_pixels(view.of(slice(no_scenes, None)), intrinsics[no_scenes:])
         crops = self._seen(windows, pixels, generator)
-        if lacking:
-            crops = torch.cat((self._negatives(lacking, empty, view, generator), crops))
+        if no_scenes:
+            crops = torch.cat((self._clutter(no_scenes, view, generator), crops))
         frames = self._varied(frames, generator)
         return PatchBatch(
             frames.contiguous(memory_format=torch.channels_last),
@@ -234,7 +247,7 @@ class PatchBatches:
             offset_of(view.points(t), view),
             self._coordinates(coordinates, view, intrinsics, turn),
             view.places(t[:, None] + self.keypoints @ rotation.mT),
-            torch.arange(count, device=device) >= lacking,
+            present,
             stored.index,
         )
 
@@ -274,11 +287,17 @@ class PatchBatches:
         planes = source_planes(homographies, self.frame_pixels)
         return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
-    def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
-        """Return positions where a first look might have found objects at ``t (B, 3)``."""
+    def _looked_at(self, t: Tensor, present: Tensor, generator: torch.Generator) -> Tensor:
+        """Return positions where a first look might find what is at ``t (B, 3)``.
+
+        Args:
+            t: Meters.
+            present: ``(B,)`` bool, whether it is the object.
+            generator: On the device of this set.
+        """
         a, device = self.augmentation, self.device
         outlier = torch.rand(len(t), generator=generator, device=device) < a.look_outliers
-        scale = 1 + (OUTLIER - 1) * outlier[:, None].float()
+        scale = torch.where(present, 1 + (OUTLIER - 1) * outlier.float(), NEGATIVE)[:, None]
         error = torch.randn(len(t), 3, generator=generator, device=device) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
@@ -308,24 +327,11 @@ class PatchBatches:
             seen.append(sample(image, places[None] - torch.tensor([left, top])))
         return torch.cat(seen)
 
-    def _negatives(
-        self, count: int, empty: Tensor, view: VirtualCamera, generator: torch.Generator
-    ) -> Tensor:
-        """Return views without an object: of ``empty`` windows, and images that are no scenes."""
-        device, scenes = self.device, len(empty)
-        # Places of the view's pixels relative to half its width.
-        plane = view.image_plane().permute(1, 2, 0).float() * (2 / view.width)
-        pictures = 255 * clutter(count - scenes, (view.width, view.width), generator)
-        pixels = ((plane + 1) * (view.width / 2)).expand(count - scenes, *plane.shape)
-        crops = [sample(self._varied(pictures, generator), pixels)] if count > scenes else []
-        if scenes:
-            # A part of the window of about the size that the virtual camera cuts from it.
-            zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator, device=device)
-            shift = 2 * torch.rand(scenes, 2, generator=generator, device=device) - 1
-            shift = (1 - zoom)[:, None] * shift
-            part = plane * zoom[:, None, None, None] + shift[:, None, None, :]
-            crops.insert(0, self._seen(empty, (part + 1) * empty.shape[1] / 2, generator))
-        return torch.cat(crops)
+    def _clutter(self, count: int, view: VirtualCamera, generator: torch.Generator) -> Tensor:
+        """Return views ``(count, 3, h, w)`` of images that are no scenes."""
+        pictures = 255 * clutter(count, (view.width, view.width), generator)
+        pixels = view.image_plane().permute(1, 2, 0).float() + view.width / 2
+        return sample(self._varied(pictures, generator), pixels.expand(count, *pixels.shape))
 
     def _coordinates(
         self, stored: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
