@@ -177,13 +177,22 @@ def test_a_second_look_refuses_distortion_that_is_not_taken_out(image_set, tmp_p
     assert np.abs(straight.predicted - taken_out.predicted).max() > 1e-3
 
 
-def test_a_network_without_a_mean_pose_says_that_it_wants_a_training_split(image_set, tmp_path):
-    root = shutil.copytree(image_set, tmp_path / "tested")
-    (root / "train_images.csv").unlink()
+def test_the_baseline_is_of_the_set_or_the_training_or_the_images_themselves(image_set, tmp_path):
+    """A set's own training split tells its constant, whatever the weights were trained on."""
+    alone = shutil.copytree(image_set, tmp_path / "alone")
+    (alone / "train_images.csv").unlink()
+    elsewhere = [1.0, 2.0, 30.0, 1.0, 0.0, 0.0, 0.0]
     model = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(48, 64))
     model.save_pretrained(tmp_path / "w.safetensors")
-    with pytest.raises(ValueError, match="expected a split train, whose mean pose"):
-        evaluate(tmp_path / "w.safetensors", "urso", root)
+    model.save_pretrained(tmp_path / "told.safetensors", data={"mean_pose": elsewhere})
+    own = evaluate(tmp_path / "told.safetensors", "urso", image_set)
+    assert own.summary()["mean_pose_baseline"]["of"] == f"the split train of {image_set.name}"
+    told = evaluate(tmp_path / "told.safetensors", "urso", alone)
+    np.testing.assert_array_equal(told.baseline, elsewhere)
+    assert format_table(told.summary()).endswith("mean pose: of the weights' training")
+    themselves = evaluate(tmp_path / "w.safetensors", "urso", alone)
+    np.testing.assert_array_equal(themselves.baseline, mean_pose(themselves.dataset.poses))
+    assert themselves.baseline_of == "the images themselves"
 
 
 def test_the_baseline_comes_from_the_training_split(evaluation, image_set):
@@ -240,7 +249,7 @@ def test_the_parts_and_the_relative_error_are_medians_of_each_image(evaluation):
     assert summary["mean_relative_translation_error"] == pytest.approx(relative.mean())
     low, high = summary["median_intervals_95"]["median_relative_translation_error"]
     assert relative.min() <= low < np.median(relative) < high <= relative.max()
-    assert set(summary["mean_pose_baseline"]) - {"pose"} < set(summary)
+    assert set(summary["mean_pose_baseline"]) - {"pose", "of"} < set(summary)
 
 
 def test_oracles_know_one_part_and_have_the_constants_error_in_the_other(evaluation):

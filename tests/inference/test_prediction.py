@@ -324,6 +324,18 @@ def test_the_json_form_holds_tails_and_the_second_mode(tmp_path):
     assert document["probabilities"] == [0.75, 0.125]
 
 
+def test_in_words_with_a_second_mode():
+    """Half a turn about z, where it is likely enough to matter."""
+    for p, told in ((0.3, ", or roll 0.0°, pitch 0.0°, yaw 180.0° (p = 0.30)"), (0.05, "")):
+        said = PoseUncertainty(
+            *(TRANSLATION_COVARIANCE, ROTATION_COVARIANCE, 0.25),
+            alternative=[0.0, 0.0, 0.0, 1.0],
+            probabilities=(0.6, p),
+        )
+        words = str(Prediction("a.png", Pose([0, 0, 10], [1, 0, 0, 0], said)))
+        assert words.endswith(f"out of plane{told}")
+
+
 def test_in_words_with_uncertainty():
     words = str(Prediction("a.png", sure_pose(threshold=0.2)))
     assert words == (

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from ffpose._internal.files import sha256
 from ffpose._internal.zoo import resolve_initial
 from ffpose.cli import main
 from ffpose.errors import DataError
+from ffpose.geometry import Camera
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.learn import plan, run
 from ffpose.learn.plan import (
@@ -41,8 +43,9 @@ from ffpose.learn.plan import (
 from ffpose.learn.run import LearnConfig, learn, verdict
 from ffpose.models import read_metadata
 from ffpose.render import find_scene
+from pages import TEXTS
 
-SHOWN = 0.46 + 0.11 + 0.2 + 0.09
+SHOWN = 0.44 + 0.1 + 0.2 + 0.08
 """Share of the views that make an epoch: those with the spacecraft."""
 
 
@@ -195,10 +198,40 @@ def test_an_interrupted_run_goes_on_with_as_many_that_train(tmp_path, monkeypatc
     found = run._Record.open(config, "craft of 1 m")
     made = planned(tmp_path, processes=16, world=found.world)
     assert (made.processes, made.batch_size, made.data.workers) == (2, 16, 16)
-    with pytest.raises(ValueError, match=r"expected mesh craft\.stl as the run in"):
-        run._Record.open(LearnConfig(Path("other.stl"), tmp_path), "craft of 1 m")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    run._Record.open(LearnConfig(Path("../craft.stl"), Path("..")), "craft of 1 m")
     with pytest.raises(ValueError, match=r"expected spacecraft craft of 1 m as .* got .* of 2 m"):
         run._Record.open(config, "craft of 2 m")
+
+
+@pytest.mark.parametrize("name", [run.WEIGHTS, run.GRAPH])
+def test_what_another_command_trained_is_not_replaced(tmp_path, name):
+    (tmp_path / name).write_text("another's")
+    with pytest.raises(ValueError, match=f"expected a folder of ffpose learn, .* another's {name}"):
+        run._Record.open(LearnConfig(Path("craft.stl"), tmp_path), "craft")
+
+
+@pytest.mark.parametrize("name", ["soyuz_easy.glb", "sat+wing.obj"])
+def test_a_set_of_ones_own_has_a_name_of_its_own(tmp_path, name):
+    with pytest.raises(ValueError, match=r"without \+ that is no built-in set's, got"):
+        LearnConfig(Path(name), tmp_path)
+
+
+def test_default_distances_show_the_whole_spacecraft_to_any_camera():
+    """At the least of them a sphere of that size is in the frame, whatever its angle of view."""
+    assert plan.default_distances(2.0, plan.DEFAULT_CAMERA) == (6.0, 32.0)
+    for focal in (300.0, 1000.0, 5000.0):
+        camera = Camera(640, 480, focal, focal, 300.0, 240.0)
+        near, far = plan.default_distances(2.0, camera)
+        assert math.asin(2.0 / near) <= math.atan(240 / focal)
+        assert far / near == pytest.approx(16 / 3)
+
+
+def test_the_page_tells_the_shares_of_the_views():
+    page = " ".join(TEXTS["docs/own-spacecraft.md"].split())
+    for kind, told in {"count": "plain", "randomized": "with randomized", "decoys": "with"}.items():
+        assert f"{100 * KINDS[kind]:.0f} % {told}" in page
 
 
 @pytest.mark.parametrize("name", ["symmetry", "init"])
@@ -437,10 +470,12 @@ def _is_folded(out, summary, said):
 def test_a_poor_result_is_called_so():
     """A tenth of the constant's error is the border."""
     summary = {"median_translation_error_m": 0.5, "images": 10, "confusion": {"share": 0.0}}
+    summary["share_over_30_deg"] = 0.25
     baseline = {"median_rotation_error_deg": 130.0, "confusion": {"share": 0.0}}
     constant = {"mean_pose_baseline": baseline | {"median_translation_error_m": 5.1}}
     good = summary | constant | {"median_rotation_error_deg": 12.0}
     assert verdict(good).startswith("median")
+    assert "10 unseen images, of which 25% are more than 30 degrees off" in verdict(good)
     assert "a constant pose has 130 degrees and 5.1 m" in verdict(good)
     assert verdict(good | {"median_rotation_error_deg": 14.0}).startswith("POOR")
     assert verdict(good | {"median_translation_error_m": 0.52}).startswith("POOR")
@@ -450,6 +485,7 @@ def test_sides_that_are_taken_for_each_other_are_told():
     summary = {
         "median_translation_error_m": 0.5,
         "median_rotation_error_deg": 3.0,
+        "share_over_30_deg": 0.25,
         "images": 10,
         "mean_pose_baseline": {
             "median_rotation_error_deg": 130.0,
@@ -463,7 +499,7 @@ def test_sides_that_are_taken_for_each_other_are_told():
     assert "second attitude" not in told
     modes = {"share_over_30_deg": 0.25, "share_over_30_deg_of_both": 0.05}
     told = verdict(summary | {"confusion": turn | {"share": 0.2}, "uncertainty": {"modes": modes}})
-    assert "25% are more than 30 degrees off, of which in 80% the second attitude" in told
+    assert "in 80% of those more than 30 degrees off the second attitude" in told
     assert "taken" not in verdict(summary | {"confusion": turn | {"share": 0.05}})
     # of attitudes in a narrow range a constant pose's errors gather as well
     baseline = summary["mean_pose_baseline"] | {"confusion": {"share": 0.2}}
@@ -497,6 +533,7 @@ def test_an_error_that_a_rotation_explains_is_told_with_it():
     summary = {
         "median_rotation_error_deg": 6.0,
         "mean_rotation_error_deg": 81.0,
+        "share_over_30_deg": 0.5,
         "median_translation_error_m": 0.5,
         "images": 10,
         "mean_pose_baseline": {

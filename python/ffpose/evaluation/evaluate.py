@@ -5,7 +5,7 @@ The metrics are those of the paper's tables: errors of translation (Eq. 13) and 
 rotation error is also split into in-plane and out-of-plane parts (`ffpose.evaluation.attitude`), as
 a network may learn one and not the other.
 
-The baselines are those of `ffpose.evaluation.baseline`: the mean pose of the training split,
+The baselines are the mean pose of the set's training split (`ffpose.evaluation.baseline`),
 predicted for every image, and oracles that know one part of the truth.
 """
 
@@ -76,7 +76,8 @@ class Evaluation:
     network without uncertainty, the last two for one that tells no second mode too. Errors, of the
     baseline too, are to the nearest attitude of the same look by ``symmetry``; ``unfolded`` are
     larger symmetry groups, exact or near, modulo which the summary has errors too. ``axis_m`` is
-    the length of axes as they are drawn, as of `ffpose.imaging.overlay.draw_axes`.
+    the length of axes as they are drawn, as of `ffpose.imaging.overlay.draw_axes`;
+    ``baseline_of`` says whose mean pose the baseline is.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
@@ -99,6 +100,7 @@ class Evaluation:
     alternative: FloatArray | None = None
     probabilities: FloatArray | None = None
     axis_m: float | None = None
+    baseline_of: str = "the weights' training"
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -188,11 +190,12 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Return the metrics of the model, the baseline and the oracles.
 
-        Metrics are named as in `PoseError`, which has fewer where labels locate the camera.
-        ``median_intervals_95`` holds bootstrap intervals of the medians; ``mean_pose_baseline`` the
-        metrics of the constant pose; ``oracles`` the rotation errors of two that know one part of
-        the attitude and have the constant's error in the other: a model of such an error has
-        learned at most the part that is known; ``correlation`` the correlation of predicted and
+        Metrics are named as in `PoseError`, which has fewer where labels locate the camera;
+        ``share_over_30_deg`` is that of attitudes which are farther off. ``median_intervals_95``
+        holds bootstrap intervals of the medians; ``mean_pose_baseline`` the metrics of the constant
+        pose and whose mean it is (``of``); ``oracles`` the rotation errors of two that know one
+        part of the attitude and have the constant's error in the other: a model of such an error
+        has learned at most the part that is known; ``correlation`` the correlation of predicted and
         true roll, pitch and yaw (circular for roll and yaw; None where one is constant);
         ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation errors to
         the labels as they are; ``modulo_unfolded`` the ``axes`` of each of ``unfolded`` and the
@@ -208,11 +211,14 @@ class Evaluation:
         return {
             "images": len(self.dataset),
             **figures(self.errors),
+            "share_over_30_deg": _share_over_30_deg(self.errors),
             "median_intervals_95": median_intervals(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
+                "of": self.baseline_of,
                 **figures(self.baseline_errors),
+                "share_over_30_deg": _share_over_30_deg(self.baseline_errors),
                 "median_intervals_95": median_intervals(self.baseline_errors),
                 "confusion": _confusion(self._constant, self._truth_for_constant),
             },
@@ -319,7 +325,8 @@ def evaluate(
     """Evaluate weights on the images of a split, or of ``"all"``.
 
     ``weights`` are what `ffpose.load` takes; their header defines the preprocessing, and what
-    ``decoding`` leaves open. The training split of ``root`` gives the baseline, if they do not.
+    ``decoding`` leaves open. The baseline is the mean pose of the training split of ``root``, where
+    that is none of the images; else of the weights' training, else of the images themselves.
     With ``reproject`` images of another camera are reprojected into the network's view; ``empty``
     is a folder of images that do not show the object, for miss rate and AUROC; errors are modulo
     ``symmetry``, that of the training for None, and told modulo each of ``unfolded`` too.
@@ -340,8 +347,12 @@ def evaluate(
     expect_in_front(dataset.records, dataset.target)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
-    if baseline is None:
-        baseline = _mean_pose_of_training(kind, root, metadata.preprocessing)
+    of = "the weights' training"
+    if split not in ("all", "train") and "train" in list_splits(kind, root):
+        baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
+        of = f"the split train of {root.resolve().name}"
+    elif baseline is None:
+        baseline, of = mean_pose(dataset.poses), "the images themselves"
     conditions = read_conditions(root, dataset.names)
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
@@ -358,6 +369,7 @@ def evaluate(
     told["unfolded"] = unfolded
     told["in_view_threshold"] = metadata.in_view_threshold
     told["axis_m"] = axis_length(metadata.config)
+    told["baseline_of"] = of
     if empty_images:
         if "in_view" not in told:
             raise ValueError(
@@ -375,6 +387,10 @@ def figures(errors: PoseErrors) -> dict[str, float]:
     return {name: float(value) for name, value in summarized(errors).items()}
 
 
+def _share_over_30_deg(errors: PoseErrors) -> float:
+    return float((errors.rotation_deg > LARGE_DEG).float().mean())
+
+
 def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
     turn, share = most_confused(predicted[:, 3:], truth[:, 3:])
     return {"rotation_vector_deg": turn.tolist(), "share": share}
@@ -383,16 +399,6 @@ def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
 def _median_sigma(covariance: FloatArray) -> float:
     """Return the median over covariances ``(N, 3, 3)`` of the RMS standard deviation."""
     return float(np.median(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)))
-
-
-def _mean_pose_of_training(kind: str, root: Path, preprocessing: Preprocessing) -> FloatArray:
-    """Return the mean pose of a set's training split, for a network that does not tell its own."""
-    if "train" not in (splits := list_splits(kind, root)):
-        raise ValueError(
-            "data: expected a split train, whose mean pose is the baseline, as the network's file"
-            f" has none; got {', '.join(splits)}"
-        )
-    return mean_pose(open_dataset(kind, root, "train", preprocessing).poses)
 
 
 def choose_preprocessing(

@@ -27,6 +27,9 @@ from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.inference.estimator import PoseEstimator
 
+TOLD = 0.1
+"""Least probability of a second attitude that is told in words."""
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -96,6 +99,12 @@ class Prediction:
             distance, in_plane, out_of_plane = standard_deviations(self.pose.t, uncertainty)
             meters = f" ± {distance:.2f} m along the ray"
             degrees = f" ± {in_plane:.1f}° in plane, ± {out_of_plane:.1f}° out of plane"
+            if uncertainty.alternative is not None and uncertainty.probabilities[1] >= TOLD:
+                roll_2, pitch_2, yaw_2 = quaternion_to_euler(uncertainty.alternative)
+                degrees += (
+                    f", or roll {roll_2:.1f}°, pitch {pitch_2:.1f}°, yaw {yaw_2:.1f}°"
+                    f" (p = {uncertainty.probabilities[1]:.2f})"
+                )
         return (
             f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{meters}, "
             f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"

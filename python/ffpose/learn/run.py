@@ -22,14 +22,12 @@ from ffpose._internal.files import (
     same_place,
     sha256,
     write_json,
-    write_text,
 )
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
 from ffpose.errors import DataError, expect
 from ffpose.evaluation.card.measurement import measure
-from ffpose.evaluation.card.tables import format_card
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.page import Report, write_report
 from ffpose.evaluation.report.plots import write_evaluation_figures
@@ -39,23 +37,23 @@ from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.learn.plan import (
     DEFAULT_CAMERA,
     DEFAULT_INIT,
-    FAR_DIAMETERS,
-    NEAR_DIAMETERS,
     NETWORK,
     Speed,
     TrainingPlan,
+    default_distances,
     image_size,
     plan_trainings,
     replanned,
     training,
     training_processes,
+    whole_seconds,
 )
 from ffpose.learn.speed import measure_speed
 from ffpose.models import build_network
 from ffpose.models.weights import copy_weights, load_weights
 from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.pose_graph import export_weights
-from ffpose.render import SceneFile, Up
+from ffpose.render import SCENES, SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.inspection import find_doubts, is_y_up
 from ffpose.render.renderer import MAX_SIDE, MIN_SIDE
@@ -101,7 +99,7 @@ class LearnConfig:
         minutes: Budget, wall time.
         mesh_scale: Meters per unit of the mesh.
         camera: Camera of the images.
-        distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
+        distance_m: Least and greatest distance; None for `ffpose.learn.plan.default_distances`.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
         processes: Processes that render and prepare batches, and of which up to four train
             together, on GPUs one each; 0 for one a core. Under ``torchrun`` its processes train.
@@ -138,6 +136,12 @@ class LearnConfig:
 
     def __post_init__(self) -> None:
         expect(0 < self.minutes < math.inf, "minutes", "more than 0", self.minutes)
+        name = self.mesh.stem
+        if name in SCENES or "+" in name:
+            raise ValueError(
+                f"mesh: expected a file name without + that is no built-in set's, got"
+                f" {self.mesh.name}; the set of its images has this name"
+            )
         if isinstance(self.camera, DistortedCamera):
             raise ValueError(
                 "camera: expected one without distortion, got a distorted one; leave out the key"
@@ -256,8 +260,8 @@ def _learn(
 
     def configured(plan: TrainingPlan, init: Path | None = None) -> TrainConfig:
         made = training(
-            config.out,
-            path,
+            config.out.resolve(),
+            path.resolve(),
             radius,
             scene_file.distance_m,
             config.camera,
@@ -267,7 +271,7 @@ def _learn(
             processes=processes,
             device=config.device,
             init=init,
-            symmetry=folds if len(group) > 1 else None,
+            symmetry=folds.resolve() if len(group) > 1 else None,
             world=record.world,
         )
         return made if record.autocast is None else replace(made, autocast=record.autocast)
@@ -314,14 +318,15 @@ def _learn(
         export_weights(config.out / WEIGHTS, config.out / GRAPH)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
-        card = measure(
+        measure(
             config.out / WEIGHTS,
             str(path),
             count=config.card_images,
             workers=processes,
             device=config.device,
+            size=test_size(config.camera),
+            out=config.out,
         )
-        write_text(config.out / "card.md", format_card(card))
     say(str(config.out / "report.html"))
     say(verdict(summary))
     return summary
@@ -335,7 +340,8 @@ def _initial(init: str) -> Path | None:
     if init == "none":
         return None
     load_weights(resolve_initial(init), build_network(NETWORK, backbone_weights="none"))
-    return Path(init)
+    path = Path(init)
+    return path.resolve() if path.is_file() else path
 
 
 def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
@@ -358,7 +364,7 @@ def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
     center, size = bounding_sphere(vertices)
     # Where the origin is outside of the sphere, the camera keeps clear of the spacecraft still.
     reach = max(size, (size + float(np.linalg.norm(center))) / 2)
-    distance = config.distance_m or (2 * reach * NEAR_DIAMETERS, 2 * reach * FAR_DIAMETERS)
+    distance = config.distance_m or default_distances(reach, config.camera)
     return radius, replace(unknown, distance_m=distance)
 
 
@@ -394,9 +400,9 @@ def _planned(
         "second training": shares[1],
         "budget": f"{config.minutes:g} minutes",
     }
-    least = sum(plan.seconds(speed) for plan in record.plans) / 60
-    if least > config.minutes:
-        lines["budget"] += f", less than the least that is trained takes: about {least:.1f}"
+    least = whole_seconds(record.plans, speed) / 60
+    if least > 1.05 * config.minutes:
+        lines["budget"] += f"; training, tests, card and graph take about {least:.0f} at least"
     chosen = [f"{name:16}{text}" for name, text in lines.items()]
     # Those that are not folded, as --symmetry says otherwise, are told too.
     others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
@@ -494,7 +500,8 @@ def verdict(summary: dict[str, Any]) -> str:
     )
     text = (
         f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
-        f" unseen images; a constant pose has {constant:.0f} degrees and {constant_m:.3g} m"
+        f" unseen images, of which {summary['share_over_30_deg']:.0%} are more than 30 degrees off;"
+        f" a constant pose has {constant:.0f} degrees and {constant_m:.3g} m"
     )
     for each in summary.get("modulo_unfolded", []):
         constants = summary["mean_pose_baseline"], each["mean_pose_baseline"]
@@ -517,16 +524,17 @@ def verdict(summary: dict[str, Any]) -> str:
             " folds them"
         )
         if (modes := summary.get("uncertainty", {}).get("modes")) is not None:
+            known = 1 - modes["share_over_30_deg_of_both"] / modes["share_over_30_deg"]
             text += (
-                f"; {modes['share_over_30_deg']:.0%} are more than 30 degrees off, of which in"
-                f" {1 - modes['share_over_30_deg_of_both'] / modes['share_over_30_deg']:.0%} the"
-                " second attitude that poses tell is right"
+                f"; in {known:.0%} of those more than 30 degrees off the second attitude that"
+                " poses tell is right"
             )
     if error <= POOR * constant and meters <= POOR * constant_m:
         return text
     return (
-        f"POOR: {text}. What helps: more --minutes; nearer --distance; a narrower --attitude-range"
-        " where the mission has one; the mesh's units and origin (ffpose inspect)"
+        f"POOR: {text}. What helps: more --minutes, in another folder and from these weights"
+        " (--init); nearer --distance; a narrower --attitude-range where the mission has one; the"
+        " mesh's units and origin (ffpose inspect)"
     )
 
 
@@ -611,6 +619,12 @@ class _Record:
                 settings[f"{name}_sha256"] = sha256(path)
         path = config.out / RECORD
         if not path.exists():
+            for name in (WEIGHTS, GRAPH):
+                if (config.out / name).exists():
+                    raise ValueError(
+                        f"out: expected a folder of ffpose learn, or none yet, got {config.out},"
+                        f" which has another's {name}"
+                    )
             return cls(settings)
         found = read_json(path)
         try:
@@ -620,8 +634,10 @@ class _Record:
         except (KeyError, TypeError, ValueError) as error:
             remedy = "remove the folder, or write to another"
             raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
+        # Contents tell a file, by whatever path it is reached.
+        told = {"mesh", *(name for name in ("symmetry", "init") if f"{name}_sha256" in settings)}
         for name, value in settings.items():
-            if name in there and not same_place(there[name], value):
+            if name not in told and name in there and not same_place(there[name], value):
                 raise ValueError(
                     f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
                     f" {value}; remove the folder, or write to another"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ffpose._internal.machine import cores
 from ffpose.inference.in_torch import torch_threads
 from ffpose.learn.plan import Speed
 from ffpose.models import SecondLookNetwork, build_network
@@ -74,7 +75,8 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
             for autocast in ("none", "bfloat16")
         }
     best = max(rates, key=rates.__getitem__)
-    together = 1 if processes == 1 else TOGETHER * processes
+    at_once = min(processes, cores()) if device.type == "cpu" else processes
+    together = 1 if at_once == 1 else TOGETHER * at_once
     stored = sum(array.nbytes for array in arrays.values()) // count
     return Speed(views, rates[best] * together, stored), best
 

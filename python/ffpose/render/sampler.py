@@ -63,7 +63,8 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
                 return pose
     raise ValueError(
         f"{scene.name}: found no pose with {scene.min_visible:.0%} to {scene.max_visible:.0%} "
-        f"of the spacecraft in frame at {scene.distance_m} m within {scene.lateral_m} m of the axis"
+        f"of the spacecraft in frame at {scene.distance_m} m within {scene.lateral_m} m of the "
+        "axis; they may be too near for the camera's angle of view"
     )
 
 

@@ -8,6 +8,7 @@ of another version of it is taken for one of this.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -84,10 +85,10 @@ class SceneFile:
 
     def write(self, path: Path) -> None:
         """Write the file."""
-        values = asdict(self) | {
-            "mesh": os.path.relpath(self.mesh.resolve(), path.resolve().parent)
-        }
-        write_json(path, values, 1)
+        mesh = self.mesh.resolve()
+        with suppress(ValueError):  # Windows: on another drive
+            mesh = Path(os.path.relpath(mesh, path.resolve().parent))
+        write_json(path, asdict(self) | {"mesh": str(mesh)}, 1)
 
 
 def find_scene(

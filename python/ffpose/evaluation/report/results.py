@@ -22,6 +22,7 @@ def format_table(summary: dict[str, Any]) -> str:
     for name, value in summary.get("without_symmetry", {}).items():
         if isinstance(value, float):
             lines.append(f"{f'{name}, no symmetry':34}{value:12.4f}")
+    lines.append(f"mean pose: of {baseline['of']}")
     return "\n".join(lines)
 
 
