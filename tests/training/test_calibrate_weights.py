@@ -124,6 +124,10 @@ def test_ranges_are_those_of_the_training_unless_they_are_given():
     given = CalibrationImages(distance=(0.9, 1.1), attitude_range_deg=(9.0, 8.0, 7.0))
     kept = _as_trained(given, header)
     assert (kept.distance, kept.attitude_range_deg) == ((0.9, 1.1), (9.0, 8.0, 7.0))
+    named = _as_trained(CalibrationImages(scene="soyuz_easy"), header)  # trained on this one too
+    assert (named.scene, named.distance) == ("soyuz_easy", (0.75, 1.5))
+    other = CalibrationImages(scene="dragon_hard")
+    assert _as_trained(other, header) == other
 
 
 def test_weights_of_learn_ask_for_the_file_of_their_set():

@@ -28,6 +28,7 @@ from ffpose.render import SCENES
 from ffpose.training.calibrate import Calibration, calibrate, with_calibration
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages
+from ffpose.training.provenance import scene_name
 from ffpose.training.tasks import VALIDATION_BATCH, standardized
 
 LEAST_IMAGES = 10
@@ -61,7 +62,7 @@ def calibrate_weights(
     if out is None and resolve(weights) != Path(weights):
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     expect_place(resolve(weights) if out is None else out)
-    if images.kind == "scenes" and images.scene is None:
+    if images.kind == "scenes":
         images = _as_trained(images, metadata)
     if images.kind == "scenes":
         opened = open_calibration(images, metadata.preprocessing)
@@ -94,18 +95,24 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
 
 
 def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:
-    """Return images as of the weights' first training set, of all kinds that training saw.
+    """Return images as of one of the weights' training sets, of all kinds that training saw.
 
+    It is the first where none is named; images of a set that is none of them stay as they are.
     Ranges that differ from the defaults were asked for, and stay.
     """
-    sets = (metadata.data or {}).get("sets", [])
+    sets = [each["scene"] for each in (metadata.data or {}).get("sets", [])]
     seen = (metadata.recipe or {}).get("data", {})
-    scene, plain = sets[0]["scene"] if sets else None, CalibrationImages()
-    if scene is not None and scene not in SCENES:
-        raise ValueError(
-            f"data.scene: expected the file of {scene!r}, which the weights were trained on and"
-            f" ffpose learn writes beside them, as --data.scene runs/{scene}/scene.json; got none"
-        )
+    scene, plain = images.scene, CalibrationImages()
+    if scene is None and sets:
+        (scene, *_) = sets
+        if scene not in SCENES:
+            raise ValueError(
+                f"data.scene: expected the file of {scene!r}, which the weights were trained on and"
+                f" ffpose learn writes beside them, as --data.scene runs/{scene}/scene.json; got"
+                " none"
+            )
+    if scene is not None and scene_name(scene) not in sets:
+        return images
     ranges: dict[str, Any] = {
         name: tuple(seen[name])
         for name in ("distance", "attitude_range_deg")

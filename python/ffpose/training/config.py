@@ -29,8 +29,9 @@ class CalibrationImages:
         kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
             kind (whole, cut, randomized, low sun, other spacecraft) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
-        scene: For kind "scenes": name of the rendered set; None for the first that the weights were
-            trained on, and what is below of it as in that training.
+        scene: For kind "scenes": name or file of the rendered set; None for the first that the
+            weights were trained on. Where they were trained on it, what is below is as in that
+            training where it is not told.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects of which the border leaves 30 to 60 % too.
