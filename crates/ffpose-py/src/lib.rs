@@ -26,7 +26,9 @@ fn expect_processor() -> PyResult<()> {
 }
 
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
-#[pymodule]
+///
+/// What a call reads and writes is noted under the interpreter's lock (`in_use`).
+#[pymodule(gil_used = true)]
 mod _rust {
     use pyo3::prelude::*;
 

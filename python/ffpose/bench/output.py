@@ -15,13 +15,14 @@ from ffpose._internal.machine import processor
 
 
 def print_results(title: str, rows: list[dict[str, Any]], as_json: bool, **document: Any) -> None:
-    """Print a table, or in its place a document with what this machine is."""
+    """Print a table, or in its place a document, with what this machine is."""
+    facts = {**collect(), "torch": torch.__version__}
     if as_json:
-        facts = {"environment": {**collect(), "torch": torch.__version__}}
-        print(json.dumps({**facts, **document}, indent=2, default=asdict))
+        print(json.dumps({"environment": facts, **document}, indent=2, default=asdict))
         return
     columns = (Column(name, justify="right") for name in rows[0])
-    table = Table(*columns, title=f"{title}, {processor()}", title_justify="left", box=None)
+    title += f", {processor()}, {facts['instruction_set']}, torch {facts['torch']}"
+    table = Table(*columns, title=title, title_justify="left", box=None)
     for row in rows:
         table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
     Console(width=100).print(table)

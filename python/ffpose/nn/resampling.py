@@ -27,16 +27,17 @@ def resample_weight(
 ) -> Tensor:
     """Resample the weight of a filter of a ``size`` for planes ``(rows, columns)`` of another.
 
-    The result has dtype and device of ``weight``, and is computed in float64. In the DC and Nyquist
-    columns only the Hermitian part of ``weight`` has an effect, and only that part is kept.
+    The result has dtype and device of ``weight``, and is computed on the CPU in float64, which some
+    devices lack. In the DC and Nyquist columns only the Hermitian part of ``weight`` has an effect,
+    and only that part is kept.
     """
     with torch.no_grad():
-        impulse = weight.new_zeros(tuple(size), dtype=torch.float64)
+        impulse = torch.zeros(tuple(size), dtype=torch.float64)
         impulse[0, 0] = 1
-        kernel = spectral_filter(impulse, weight.double(), layout)
+        kernel = spectral_filter(impulse, weight.cpu().double(), layout)
         for dim, length in enumerate(plane):
             kernel = _wrap(kernel, dim, length)
-        return torch.view_as_real(torch.fft.rfft2(kernel, dim=(0, 1))).to(weight.dtype)
+        return torch.view_as_real(torch.fft.rfft2(kernel, dim=(0, 1))).to(weight)
 
 
 def _wrap(kernel: Tensor, dim: int, length: int) -> Tensor:
@@ -46,7 +47,7 @@ def _wrap(kernel: Tensor, dim: int, length: int) -> Tensor:
     """
     period = kernel.shape[dim]
     half = period // 2
-    offsets = torch.arange(-half, half + 1, device=kernel.device)
+    offsets = torch.arange(-half, half + 1)
     share = torch.ones_like(offsets, dtype=kernel.dtype)
     if period % 2 == 0:
         share[[0, -1]] = 0.5
