@@ -25,7 +25,7 @@ from ffpose.render.renderer import label, prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.decoys import build_decoy
 
-RENDERING = 2
+RENDERING = 3
 """Version of how patches are rendered; those that were rendered otherwise are rendered again."""
 
 

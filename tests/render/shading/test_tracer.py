@@ -5,7 +5,7 @@ import pytest
 
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import prepared
-from ffpose.render.shading.rays import cast_rays, find_window
+from ffpose.render.shading.rays import View, cast_rays, find_window
 from ffpose.render.shading.reflection import LIFT_M
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.spacecraft.craft import Craft
@@ -90,6 +90,26 @@ def plates(material):
     faces = np.array([[0, 1, 2], [0, 2, 3], [1, 0, 3], [3, 2, 1]], np.int32)
     mesh = Mesh(vertices, faces, np.zeros((4, 3, 2)), np.zeros(4, np.int32))
     return Craft("plates", mesh.moved(turn("x", 30), (0.1, 0.2, 0.3)), (material,))
+
+
+@pytest.mark.parametrize("elevation", [1.5, 8.0, 60.0])
+@pytest.mark.parametrize("winding", [1, -1])
+def test_the_side_that_is_seen_is_lit_however_slanted_and_wound(winding, elevation):
+    """The corners' normals say which side is the front, not the order of the corners."""
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)[:, ::winding]
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), (2, 3, 3))
+    mesh = Mesh(vertices, faces, np.zeros((2, 3, 2)), np.zeros(2, np.int32), up)
+    tracer, materials = prepared(Craft("plate", mesh, (Material((1, 1, 1), two_sided=True),)))
+    target = np.array([[0.3, 0.1, 0], [-0.5, 0.4, 0]])
+    for side in (1, -1):
+        angle = side * np.radians(elevation)
+        eye = np.array([20 * np.cos(angle), 0, 20 * np.sin(angle)], np.float32)
+        rays = (target - eye) / np.linalg.norm(target - eye, axis=1, keepdims=True)
+        rays = rays.astype(np.float32)
+        hits = tracer.first_hits(eye, rays)
+        seen = materials.surface(View(eye, rays.T, hits), np.full(2, 0.01, np.float32))
+        np.testing.assert_allclose(seen.normal, np.tile([[0], [0], [side]], 2), atol=1e-6)
 
 
 @pytest.mark.parametrize("two_sided", [False, True])

@@ -20,6 +20,7 @@ from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats, column, dot, unit
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS
+from ffpose.render.spacecraft.mesh import Mesh
 
 EARTH_COLOR = (0.26, 0.31, 0.38)
 """Mean radiance of the sunlit Earth below, clouds and sea together."""
@@ -29,9 +30,6 @@ HIGHLIGHT_LIMIT = 12.0
 
 BOUNCE = 0.2
 """Fraction of the Earth's light reflected by the spacecraft where it occludes the Earth."""
-
-EDGE_ON = 0.25
-"""Cosine up to which a smoothed normal may face away from the camera on a front face."""
 
 LEAST_SLANT = 0.125
 """Cosine to which a texture seen from the side is averaged, as if no more slanted."""
@@ -69,6 +67,7 @@ class MaterialTable:
         table = craft.materials
         self._uv = craft.mesh.uv.astype(np.float32)
         self._normals = craft.mesh.corner_normals
+        self._sides = _sides(craft.mesh)
         self._material = craft.mesh.material
         self._color = np.array([m.color for m in table], dtype=np.float32).T
         self._emission = np.array([m.emission for m in table], dtype=np.float32).T
@@ -98,7 +97,7 @@ class MaterialTable:
         face = view.hits.face
         weights = view.hits.weights
         normal = _blend(self._normals.take(face, axis=0), weights)
-        turned = dot(normal, view.rays) > EDGE_ON
+        turned = dot(self._sides.take(face, axis=1), view.rays) > 0
         number = self._material.take(face)
         surface = Surface(
             self._color.take(number, axis=1),
@@ -261,6 +260,18 @@ def _earth_shine(
     out += glossy
     out *= column(EARTH_COLOR) * np.float32(light.earth)
     return out
+
+
+def _sides(mesh: Mesh) -> Floats:
+    """Return normals (3, F) of the triangles themselves, on the side of their corners' normals.
+
+    Where a surface is smooth, the normals at its points may face away from a camera that sees its
+    front.
+    """
+    sides = mesh.face_normals.T.astype(np.float32)
+    outward = dot(sides, mesh.corner_normals.sum(axis=1).T)
+    result: Floats = np.where(outward < 0, -sides, sides)
+    return result
 
 
 def _face_eye(normal: Floats, rays: Floats) -> Floats:
