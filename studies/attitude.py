@@ -120,8 +120,12 @@ FILTERS = Study(
 
 
 def polar(**fields: Any) -> dict[str, Any]:
-    """Return the changes that make the second look polar."""
-    return {"model": "polar", "model_fields": fields}
+    """Return the changes that make the second look polar.
+
+    As in the study's base, a second look goes where the one before found the object, and its pose
+    is the result. With more ``looks`` the pose would be the mean of two.
+    """
+    return {"model": "polar", "model_fields": {"looks": 1, **fields}}
 
 
 MIXERS = Study(
@@ -136,6 +140,7 @@ MIXERS = Study(
         Variant("filterformer", "polar, attention and filters", polar(mixer="filterformer")),
         Variant("compact", "rows and columns, residual convolutions"),
     ),
-    notes="The polar variants are the preset polar, equal but for what mixes the cells in its "
-    "blocks; the last is the base of the study attitude.",
+    notes="The polar variants are the preset polar with looks=1, equal but for what mixes the "
+    "cells in its blocks; the last is the base of the study attitude. Each takes two second looks, "
+    "the second where the first found the object, and its pose alone is the result.",
 )

@@ -8,7 +8,7 @@ import torch
 
 from ffpose._internal.figures import new_figure, save_figure
 from ffpose.config import PRESETS
-from ffpose.models.virtual_camera import look, turn_to
+from ffpose.models.virtual_camera import pyramid, render_virtual, turn_to
 from ffpose.render import render
 
 TURN_CELLS = 4
@@ -29,7 +29,10 @@ for row, turn in enumerate((0.0, 2 * math.pi / cells * TURN_CELLS)):
     polar = turn_to(
         point, config.object_radius_m, config.object_size, twist, polar_width=config.object_width
     )
-    seen = (look(image, view, point, intrinsics)[0].permute(1, 2, 0) for view in (square, polar))
+    seen = (
+        render_virtual(pyramid(image), view, point, intrinsics)[0].permute(1, 2, 0)
+        for view in (square, polar)
+    )
     left, right = (figure.add_subplot(2, 2, 2 * row + column) for column in (1, 2))
     for axes, picture in zip((left, right), seen, strict=True):
         axes.imshow(np.clip(picture.numpy(), 0, 1), aspect="auto" if axes is right else "equal")

@@ -1,9 +1,13 @@
-"""Seeds of rendered scenes, and what each may be used for: no image is used twice.
+"""Seeds of rendered scenes, and what each may be used for: no image has two uses.
 
 Two seeds have no scene in common. What a training learns from, what selects its best epoch, what
-calibrates its weights and what people chose by (the number of looks, the precision of a
-graph) are of different seeds; and the figures that are published as final come from
-seeds that nothing before them has rendered. Only ``ffpose card --final`` renders those.
+calibrates its weights and what people chose by (the number of looks, the precision of a graph) are
+of different seeds; and the figures that are published as final come from seeds that only ``ffpose
+card --final`` renders, so that no training, epoch or calibration sees them. It always takes the
+first of these: cards of earlier weights showed the same scenes, and their figures were known when
+later weights were trained.
+
+Two sets of one seed have the same attitudes and light, so they are no independent samples.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ CALIBRATION = range(4_000_000, 5_000_000)
 """Seeds of the images that calibrate distances, covariances and threshold."""
 
 FINAL = range(5_000_000, 6_000_000)
-"""Seeds of the final figures of model cards."""
+"""Seeds of the final figures of model cards, which all take the first."""
 
 
 def matching(purpose: range, seed: int) -> int:

@@ -54,7 +54,8 @@ class DemoConfig:
     def negatives(self) -> int:
         """Number of training views without any spacecraft, and as many of other spacecraft.
 
-        The threshold that flags images is chosen on images of both kinds, so both are learned.
+        The threshold that flags is chosen on images of other spacecraft alone, and has to hold for
+        those without any, so both are learned.
         """
         return self.views // 10
 

@@ -19,7 +19,6 @@ REDUCTIONS = (4, 8, 16)
 WIDTHS = {
     "compact_resnet": (16, 48, 96, 144),
     "compact_resnet_narrow": (16, 32, 64, 96),
-    "compact_resnet_wide": (32, 64, 128, 192),
 }
 """Channels of the stem and of the maps of `REDUCTIONS`, by name."""
 

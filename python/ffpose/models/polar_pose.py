@@ -8,8 +8,8 @@ likelier, that is looked at too, and the likelier of both is kept; where it cann
 nearly always, that look is spent where the offset says that the object is. A last look goes there.
 
 A look errs by how its cells happen to lie on the object. The last look is therefore turned by half
-a cell about the viewing ray, and sees the object a little smaller; where it agrees with the one
-before, their mean is the pose.
+a cell about the viewing ray, in a view made for a greater distance, which shows the object larger;
+where it agrees with the one before, their mean is the pose.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ AGREEMENT_DEG = 15.0
 ONE_LOOK_VARIANCE = 1.15
 """Variance of one look's errors relative to that of the mean of two, which calibration scales.
 
-Of `soyuz`, whose errors of two such looks correlate by 0.74: ``2 / (1 + 0.74)``."""
+Of `soyuz`, whose errors of two such looks correlate by 0.74: ``2 / (1 + 0.74)``. Covariances
+are calibrated for the numbers of looks and candidates in the header: `PolarPose.forward` does not
+scale them for others."""
 
 DISTANCE_SMOOTH = 0.05
 """Errors of the first look's log distance below it count by their square (Huber)."""
@@ -138,8 +140,9 @@ class PolarPose(BaseNetwork):
 
         One second look, without a first one and without a correction of where to look. Its offset
         is zero where the object is, and is divided by its slope there (``config.look_slope``),
-        which is a step of Newton's. A pose of `forward` is the mean of two looks, whose covariance
-        calibration scales: that of one look is `ONE_LOOK_VARIANCE` times as large.
+        which is a step of Newton's. A pose of `forward` is the mean of two looks, if ``looks`` is
+        above 1, whose covariance calibration scales: that of one look is `ONE_LOOK_VARIANCE` times
+        as large.
 
         Args:
             images: As in `forward`.
@@ -164,7 +167,7 @@ class PolarPose(BaseNetwork):
     def _second_look(
         self, levels: Sequence[Tensor], points: Tensor, *, turned: bool = False
     ) -> tuple[SecondLookOutput, VirtualCamera]:
-        """Look at points ``(B, 3)``; ``turned`` by half a cell, and from farther."""
+        """Look at points ``(B, 3)``; ``turned`` by half a cell, in a view for a longer distance."""
         twist = None
         if turned:
             points = FARTHER * points

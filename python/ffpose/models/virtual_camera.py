@@ -216,10 +216,11 @@ def downsampled(pyramid: Sequence[Tensor], stride: int) -> Tensor:
 def render_virtual(
     pyramid: Sequence[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
 ) -> Tensor:
-    """Render the images of virtual cameras as `look`, from the `pyramid` of each image.
+    """Render the images ``(B, C, h, w)`` of virtual cameras from the `pyramid` of each image.
 
-    There may be several views of each image; view and points hold those of the first image, then
-    those of the second.
+    Each is sampled from the level whose resolution is about its own, which prevents aliasing for
+    near objects. There may be several views of each image; view and points hold those of the
+    first image, then those of the second.
     """
     level = pyramid_level(view, points, intrinsics).to(view.focal.dtype)
     return sample_pyramid(homography(view, intrinsics), level, view.image_plane(), pyramid)

@@ -29,7 +29,7 @@ WEIGHT_STD = 0.02
 MODE_DEG = 30.0
 """Largest angle from a mode of an attitude that counts as near it, degrees.
 
-Two modes are at least twice that apart, so no attitude is near both."""
+Bins that make the second mode are at least twice that from the first, so no bin is near both."""
 
 
 class Modes(NamedTuple):

@@ -129,7 +129,7 @@ def measure(
         count: Number of images per condition.
         size: ``(width, height)`` of the images before preprocessing.
         seed: Seed of the scenes, one of `ffpose._internal.seeds.CHOICES`.
-        final: Show scenes of `ffpose._internal.seeds.FINAL`, which no choice has seen, instead.
+        final: Show scenes of `ffpose._internal.seeds.FINAL`, which no training has seen, instead.
         workers: Number of processes that render.
         second_renderer: Add images of Mitsuba, which takes seconds for each.
         keep: Folder that keeps the rendered images, so that an interrupted run goes on.
