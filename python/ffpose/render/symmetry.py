@@ -40,7 +40,7 @@ change a patch by up to five times the noise."""
 LAMP = 0.3
 """Light of a lamp at the camera relative to the sun's, so that no side is dark."""
 
-FOLDS = (0, 8, 6, 4, 3, 2)
+FOLDS = (0, 8, 7, 6, 5, 4, 3, 2)
 """Folds that are tried about each axis, 0 for any angle; the first that holds is the axis's."""
 
 ODD_TURNS = (0.1618, 0.3607, 0.4271)
