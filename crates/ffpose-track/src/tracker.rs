@@ -89,9 +89,10 @@ pub struct Step {
     pub accepted: bool,
     /// The motion; None without a track.
     pub estimate: Option<Estimate>,
-    /// Squared Mahalanobis distance (6 degrees of freedom) of the frame from the track; None without either.
+    /// Squared Mahalanobis distance (6 degrees of freedom) of the frame from what the track that led before it expected; None where
+    /// none did, or none does now, or the frame has no pose.
     pub nis: Option<f64>,
-    /// Which of the frame's modes the track was compared with; None without either.
+    /// Which of the frame's modes that track was compared with; None as above.
     pub mode: Option<usize>,
 }
 
@@ -105,7 +106,7 @@ pub(crate) struct Hypothesis {
     pub(crate) agreed: f64,
     /// The time of the last of them.
     pub(crate) last: f64,
-    /// Independent views that it was compared with, and the sum of their squared distances.
+    /// Independent views among them, and the sum of their squared distances.
     pub(crate) views: f64,
     pub(crate) squares: f64,
 }
@@ -254,9 +255,7 @@ impl Tracker {
                 from_fn(|place| self.hypotheses[place].as_ref().map(|one| one.filter.orientation));
             let poses = poses.unfolded(&self.symmetry, &followed);
             for (_, pose) in poses.modes().filter(|(mode, _)| !explained[*mode]) {
-                if let Some(place) = self.propose(pose, time) {
-                    frame.corrected[place] = true;
-                }
+                self.propose(pose, &mut frame);
             }
         }
         self.unite();
@@ -283,7 +282,8 @@ impl Tracker {
     pub fn expected(&self, time: f64, camera_rate: [f64; 3]) -> Option<[f64; 3]> {
         let leader = self.hypotheses[self.leading?]?;
         let elapsed = time - self.time?;
-        if leader.last < self.looked? || !(elapsed > 0.0 && elapsed <= self.parameters.coasting) {
+        let lasts = time - leader.last <= self.parameters.coasting;
+        if leader.last < self.looked? || !(elapsed > 0.0 && lasts) {
             return None;
         }
         let position =
@@ -321,12 +321,10 @@ impl Tracker {
             let measurement = measurement.unfolded(&self.symmetry, &own);
             let found = closest(&hypothesis.filter, &measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
-            if let Some((_, _, innovation)) = &found {
-                hypothesis.views += news;
-                hypothesis.squares += news * innovation.nis.min(parameters.gate);
-            }
             if let Some((mode, pose, innovation)) = &accepted {
                 hypothesis.filter.correct(innovation, parameters);
+                hypothesis.views += news;
+                hypothesis.squares += news * innovation.nis;
                 hypothesis.score += news * (2.0 * pose.probability - 1.0);
                 hypothesis.agreed += 1.0;
                 hypothesis.last = frame.time;
@@ -347,26 +345,27 @@ impl Tracker {
         }
     }
 
-    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on; returns the place.
-    fn propose(&mut self, pose: &Mode, time: f64) -> Option<usize> {
-        let agreeing = self.parameters.agreeing;
-        let weight = |hypothesis: &Option<Hypothesis>| match hypothesis {
+    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on and that this one does
+    /// not speak for.
+    fn propose(&mut self, pose: &Mode, frame: &mut Frame) {
+        let weight = |place: usize| match &self.hypotheses[place] {
             None => -1.0,
-            Some(young) if young.agreed < agreeing => young.score,
+            Some(young) if young.agreed < self.parameters.agreeing && !frame.corrected[place] => {
+                young.score
+            }
             Some(_) => f64::INFINITY,
         };
-        let least = (0..HYPOTHESES)
-            .min_by(|a, b| weight(&self.hypotheses[*a]).total_cmp(&weight(&self.hypotheses[*b])));
-        let place = least.filter(|place| weight(&self.hypotheses[*place]).is_finite())?;
+        let least = (0..HYPOTHESES).min_by(|a, b| weight(*a).total_cmp(&weight(*b)));
+        let Some(place) = least.filter(|place| weight(*place).is_finite()) else { return };
         self.hypotheses[place] = Some(Hypothesis {
             filter: Filter::new(pose, &self.parameters),
             score: BEGINNING,
             agreed: 1.0,
-            last: time,
+            last: frame.time,
             views: 0.0,
             squares: 0.0,
         });
-        Some(place)
+        frame.corrected[place] = true;
     }
 
     /// Ends hypotheses that have become another one.

@@ -12,9 +12,13 @@ fn tracker() -> Tracker {
     Tracker::new(Parameters::default()).unwrap()
 }
 
-fn flipped(shown: &Shown) -> Shown {
-    let half = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, std::f64::consts::PI, 0.0));
+fn turned(shown: &Shown, axis: Vector3<f64>) -> Shown {
+    let half = UnitQuaternion::from_scaled_axis(axis * std::f64::consts::PI);
     Shown { orientation: shown.orientation * half, ..*shown }
+}
+
+fn flipped(shown: &Shown) -> Shown {
+    turned(shown, Vector3::y())
 }
 
 fn away(estimate: &ffpose_track::Estimate, shown: &Shown) -> f64 {
@@ -73,6 +77,27 @@ fn a_long_flip_is_gated_and_a_longer_one_is_believed() {
         }
     }
     assert!(switched.is_some_and(|frame| frame > 170), "{switched:?}");
+}
+
+#[test]
+fn gated_frames_tell_nothing_of_how_large_errors_are() {
+    let mut random = Random(13);
+    let mut seeing = tracker();
+    let mut see = |i: i32| Shown::tumbling(f64::from(i) * 0.5, &mut random);
+    for i in 0..60 {
+        seeing.step(f64::from(i) * 0.5, Some(&see(i).measurement()), STILL).unwrap();
+    }
+    let mut coasting = seeing.clone();
+    for i in 60..76 {
+        let (t, flip) = (f64::from(i) * 0.5, flipped(&see(i)).measurement());
+        let gated = seeing.step(t, Some(&flip), STILL).unwrap();
+        assert_eq!(gated.outcome, Outcome::Gated);
+        assert_eq!(gated.estimate, coasting.step(t, None, STILL).unwrap().estimate);
+    }
+    let seen = see(76).measurement();
+    let after = seeing.step(38.0, Some(&seen), STILL).unwrap();
+    assert_eq!(after.outcome, Outcome::Accepted);
+    assert_eq!(after.estimate, coasting.step(38.0, Some(&seen), STILL).unwrap().estimate);
 }
 
 #[test]
@@ -137,6 +162,8 @@ fn a_long_silence_is_one_that_was_told() {
             for i in (1..steps).filter(|_| told) {
                 let time = 29.5 + f64::from(i) * 0.5;
                 outcomes.push(tracker.step(time, None, STILL).unwrap().outcome);
+                let next = time + 0.5;
+                assert_eq!(tracker.expected(next, STILL).is_some(), next - 29.5 <= 10.0);
             }
             let mut other = flipped(&Shown::tumbling(29.5 + gap, &mut random));
             other.position *= 0.5;
@@ -256,6 +283,29 @@ fn two_attitudes_are_followed_while_there_are_two() {
         }
         if i == 79 {
             assert!(away(&tracker.estimate().unwrap(), &other) < 0.1);
+        }
+    }
+}
+
+#[test]
+fn the_likelier_of_two_new_attitudes_takes_the_one_free_place() {
+    let mut random = Random(12);
+    let mut tracker = tracker();
+    for i in 0..=40 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let likelier = turned(&shown, Vector3::x());
+        let modes = if i < 25 {
+            [shown.mode(1.0, 0.9), flipped(&shown).mode(1.0, 0.9)]
+        } else {
+            [likelier.mode(1.0, 0.9), turned(&shown, Vector3::z()).mode(1.0, 0.1)]
+        };
+        tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+        if i == 24 {
+            assert!(tracker.alternative().is_some());
+        }
+        if i == 40 {
+            assert!(away(&tracker.estimate().unwrap(), &likelier) < 0.1);
         }
     }
 }
