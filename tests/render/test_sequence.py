@@ -17,8 +17,8 @@ from ffpose.geometry import Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render import find_scene
 from ffpose.render.dataset.sequence_writer import write_sequence
-from ffpose.render.motion import sample_motion, sample_orbit
-from ffpose.render.sampler import visible_share
+from ffpose.render.motion import Orbit, sample_motion, sample_orbit
+from ffpose.render.sampler import sample_surroundings, visible_share
 from ffpose.render.sequence import Sequence, render_frame
 
 SCENE = replace(find_scene("soyuz_hard"), attitude_range_deg=(180.0, 90.0, 180.0))
@@ -90,6 +90,37 @@ def test_a_single_instant_has_light_too():
         assert orbit.at(0).eclipsed == orbit.start.eclipsed
 
 
+def met(orbit, seconds, count):
+    return {orbit.at(time).eclipsed for time in np.linspace(0, seconds, count)}
+
+
+@pytest.mark.parametrize("seconds", [120, 3000, 9000])
+def test_shadows_are_those_at_many_times(seconds):
+    rng, found = np.random.default_rng(4), []
+    for _ in range(40):
+        start = sample_surroundings(SCENE, rng)
+        normal = np.cross(start.nadir, rng.standard_normal(3))
+        orbit = Orbit(start, normal / np.linalg.norm(normal))
+        found.append(orbit.shadows(seconds))
+        assert found[-1] == met(orbit, seconds, 200)
+    assert {False} in found
+    assert {False, True} in found
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(0.0, 600), (0.0, 6000), (1.0, 600)])
+def test_where_all_or_no_images_are_in_the_shadow_no_sequence_crosses_it(rate, seconds):
+    scene = replace(SCENE, eclipse_rate=rate)
+    for seed in range(12):
+        orbit = sample_orbit(scene, seconds, np.random.default_rng([seed, 8]))
+        assert met(orbit, seconds, 100) == {rate == 1}
+
+
+def test_what_is_longer_than_the_shadow_leaves_it():
+    """Half an orbit: no place of the shadow is opposite another."""
+    orbit = sample_orbit(replace(SCENE, eclipse_rate=1.0), 2770, np.random.default_rng(0))
+    assert met(orbit, 2770, 100) == {False, True}
+
+
 def test_a_steady_motion_between_the_poses_of_a_file(tmp_path):
     path = tmp_path / "motion.csv"
     turn = Rotation.from_rotvec([0, 0.1, 0])
@@ -123,6 +154,18 @@ def test_files_are_a_csv_set_with_times_and_the_same_for_any_workers(tmp_path):
     assert records[0].camera == sequence.camera
     again = write_sequence(sequence, tmp_path / "one")
     assert (again.rendered, again.kept) == (0, 4)
+
+
+def test_frames_that_are_damaged_are_rendered_again(tmp_path):
+    write_sequence(short(), tmp_path)
+    paths = sorted(tmp_path.glob("frame-*.png"))
+    whole = [path.read_bytes() for path in paths]
+    paths[0].write_bytes(b"")
+    paths[1].write_bytes(whole[1][: len(whole[1]) // 2])
+    Image.new("RGB", (8, 8)).save(paths[2])
+    again = write_sequence(short(), tmp_path)
+    assert (again.rendered, again.kept) == (3, 1)
+    assert [path.read_bytes() for path in paths] == whole
 
 
 def test_dropped_frames_leave_the_others_as_they_are(tmp_path):

@@ -8,13 +8,24 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.cli import main
+from ffpose.datasets.csv_set import read_trajectory
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
 from ffpose.geometry.symmetry import IDENTITY
-from ffpose.tracking import Settings, Tracker
+from ffpose.tracking import Settings, Step, Tracker
 from ffpose.tracking.errors import track_errors
-from ffpose.tracking.follow import COLUMNS, OVERLAY, REPORT, TRAJECTORY, Followed, follow, run
+from ffpose.tracking.follow import (
+    COLUMNS,
+    OVERLAY,
+    REPORT,
+    TRAJECTORY,
+    Followed,
+    follow,
+    run,
+    write_trajectory,
+)
 from ffpose.tracking.frames import Frame, read_frames
+from ffpose.tracking.report import write_overlay
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 SAID = np.diag([0.01, 0.01, 0.04]), 1e-3 * np.eye(3)
@@ -180,6 +191,84 @@ def test_what_was_done_before_an_interruption_is_written(tmp_path):
     assert len(rows(tmp_path / "out")) == 7
 
 
+class OfCameras(Estimator):
+    class metadata(Estimator.metadata):
+        locates = "camera"
+
+
+class Unsure(Estimator):
+    def estimate(self, inputs, points=None):
+        return [Pose(one.t, one.q) for one in super().estimate(inputs)]
+
+
+class Interrupted(Estimator):
+    def estimate(self, inputs, points=None):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("network", "error", "message"),
+    [
+        (OfCameras, ValueError, "expected some that locate an object, got ones of a camera"),
+        (Unsure, ValueError, "pose: expected one with uncertainty, got one without"),
+        (Interrupted, KeyboardInterrupt, None),
+    ],
+)
+def test_a_run_without_a_frame_leaves_what_an_earlier_one_wrote(tmp_path, network, error, message):
+    sequence, out = frames(tmp_path / "set", 12), tmp_path / "out"
+    poses = [pose(step) for step in range(12)]
+    run(Estimator(poses), sequence, out)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(error, match=message):
+        run(network(poses), sequence, out)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_trajectory_is_a_motion_where_there_is_a_track(tmp_path):
+    poses, path = [pose(step) for step in range(12)], tmp_path / TRAJECTORY
+    followed = list(follow(Estimator(poses), frames(tmp_path / "set", 12), Tracker()))
+    write_trajectory(followed, path)
+    motion = read_trajectory(path)
+    np.testing.assert_array_equal(motion.times, np.arange(3, 12) / 2)
+    tracked = [each.step.estimate for each in followed[3:]]
+    np.testing.assert_array_equal(motion.t, [one.t for one in tracked])
+    np.testing.assert_allclose(motion.q, [one.q for one in tracked], rtol=1e-14)
+    write_trajectory(followed[:3], path)
+    with pytest.raises(DataError, match=r"csv: expected at least one row with a pose, got none"):
+        read_trajectory(path)
+
+
+def test_an_overlay_has_no_more_frames_than_fit_in_memory(tmp_path, monkeypatch):
+    read = []
+
+    def read_rgb(path, white):
+        read.append(int(path.stem))
+        return Image.new("RGB", (64, 48))
+
+    monkeypatch.setattr("ffpose.tracking.report.read_rgb", read_rgb)
+    network = Estimator([pose(step) for step in range(12)])
+    followed = list(follow(network, frames(tmp_path / "set", 12), Tracker()))
+    for most, shown in ((12, range(12)), (11, range(0, 12, 2)), (4, range(0, 12, 3))):
+        monkeypatch.setattr("ffpose.tracking.report.MOST_PICTURES", most)
+        read.clear()
+        write_overlay(followed, CAMERA, tmp_path / OVERLAY)
+        assert read == list(shown)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "accepted"),
+    [("accepted", True), ("switched", True), ("switched", False), ("gated", False)],
+)
+def test_a_border_marks_frames_that_did_not_correct_the_track(tmp_path, outcome, accepted):
+    estimate = Tracker(Settings(agreeing=1)).step(0, pose(0)).estimate
+    step = Step(0.0, outcome, accepted, estimate, None, None)
+    (black,) = frames(tmp_path / "set", 1)
+    write_overlay([Followed(black, None, step, outcome)], CAMERA, tmp_path / OVERLAY)
+    with Image.open(tmp_path / OVERLAY) as overlay:
+        corner = np.asarray(overlay.convert("RGB"))[1, 1]
+    assert (corner.max() > 128) == (not accepted)
+
+
 TIMES = "image,time\na.png,0\nb.png,0.5\n"
 
 
@@ -210,6 +299,39 @@ def test_times_that_are_none(tmp_path, text, message):
 def test_folders_without_times(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"frames\.csv, or another file as --times"):
         read_frames(tmp_path)
+
+
+def test_a_column_of_cameras_names_the_folders(tmp_path):
+    times, table = tmp_path / "t.csv", "image,time,camera\na.png,0,camera.json\nb.png,1,{}\n"
+    for name in ("camera.json", "lens.json"):
+        CAMERA.write(tmp_path / name)
+    times.write_text(table.format("./camera.json"))
+    assert [frame.image.name for frame in read_frames(tmp_path, times)] == ["a.png", "b.png"]
+    for name, message in (
+        ("lens.json", r"camera: expected camera\.json in each row, .*, got lens\.json: copy it"),
+        ("none.json", r"expected .*none\.json, got no such file"),
+    ):
+        times.write_text(table.format(name))
+        with pytest.raises(DataError, match=rf"t\.csv:3: {message}"):
+            read_frames(tmp_path, times)
+
+
+def test_images_that_are_not_listed_are_counted(tmp_path, caplog):
+    folder, times = tmp_path / "set", tmp_path / "t.csv"
+    frames(folder, 3)
+    for name in ("a", "b"):
+        frames(folder / name, 2)
+    (folder / "notes.txt").touch()
+    times.write_text("image,time\n0.png,0\na/1.png,1\n")
+    assert len(read_frames(folder, times)) == 2
+    told = f"{folder}: 3 images are left out, as {times} does not list them"
+    assert caplog.messages == [told]  # 1.png, 2.png and a/0.png
+    caplog.clear()
+    times.write_text("image,time\n" + "".join(f"b/{step}.png,{step}\n" for step in range(2)))
+    for step in range(3):
+        (folder / f"{step}.png").unlink()
+    read_frames(folder, times)
+    assert not caplog.messages
 
 
 def test_errors_are_those_of_hand_made_tracks():

@@ -64,7 +64,7 @@ def read(root: Path, split: str) -> list[Record]:
     for entry in entries:
         name = names.add(entry, entry.text("image"))
         image = find_image(root, name, entry)
-        seen_by = camera(_camera_file(root, entry))
+        seen_by = camera(camera_file(root, entry))
         time = entry.parsed(("time",))[0] if "time" in header else None
         record = Record(image, name, seen_by, None, path, entry.line, time=time)
         if labeled:
@@ -86,7 +86,8 @@ def _has_labels(header: list[str], path: Path) -> bool:
     return labeled
 
 
-def _camera_file(root: Path, entry: Entry) -> Path:
+def camera_file(root: Path, entry: Entry) -> Path:
+    """Return the camera file of a row's image, or raise a DataError if there is no such file."""
     named = "camera" in entry.values
     path = root / (entry.text("camera") if named else CAMERA_FILE)
     if not path.is_file():
@@ -95,15 +96,22 @@ def _camera_file(root: Path, entry: Entry) -> Path:
     return path
 
 
+def has_pose(entry: Entry) -> bool:
+    """Return whether a row has a pose: any of its seven columns is filled."""
+    return any(entry.values[name].strip() for name in POSE_COLUMNS)
+
+
 def read_trajectory(path: Path) -> Trajectory:
     """Read poses over time from a CSV file of ``time,tx,ty,tz,qw,qx,qy,qz``, in any order.
 
-    Other columns are left out, so that ``trajectory.csv`` of ``ffpose track`` is one too.
+    Other columns are left out, and so are rows whose pose is empty throughout: ``trajectory.csv``
+    of ``ffpose track`` is one too.
 
     Raises:
         FileNotFoundError: The file does not exist.
         DataError: A column is missing, a number is none, a quaternion is not of norm one, or a time
-            is not later than the one before; the error names file and line.
+            is not later than the one before, and the error names file and line; or no row has a
+            pose.
     """
     header, entries = read_table(path)
     if missing := [name for name in ("time", *POSE_COLUMNS) if name not in header]:
@@ -111,7 +119,7 @@ def read_trajectory(path: Path) -> Trajectory:
         raise DataError(f"{expected}; {missing[0]} is missing", path, 1)
     times: list[float] = []
     poses = []
-    for entry in entries:
+    for entry in filter(has_pose, entries):
         time, *values = entry.parsed(("time", *POSE_COLUMNS))
         poses.append(entry.made(Pose.from_vector, values))
         if times and time <= times[-1]:
@@ -119,6 +127,8 @@ def read_trajectory(path: Path) -> Trajectory:
                 f"time: expected later than {times[-1]} s, the row before, got {time}"
             )
         times.append(time)
+    if not poses:
+        raise DataError("expected at least one row with a pose, got none", path)
     return Trajectory.through(np.array(times), poses)
 
 

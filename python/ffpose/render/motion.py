@@ -80,24 +80,37 @@ class Orbit(NamedTuple):
             meets_earth(sun, start.nadir, start.altitude),
         )
 
+    def shadows(self, seconds: float) -> set[bool]:
+        """Return the values of `Surroundings.eclipsed` from time zero to a time, seconds.
+
+        They change at most once between the instants at which the sun is nearest to the nadir and
+        farthest from it.
+        """
+        start = self.start
+        across = np.cross(self.normal, start.nadir)
+        angle = math.atan2(start.sun @ across, start.sun @ start.nadir)
+        extremes = [(angle - extreme) % math.tau / self.rate for extreme in (0.0, math.pi)]
+        times = [0.0, seconds, *(time for time in extremes if time < seconds)]
+        return {self.at(time).eclipsed for time in times}
+
 
 def sample_orbit(scene: Scene, seconds: float, rng: np.random.Generator) -> Orbit:
     """Sample sun and Earth; a share `TERMINATOR_RATE` of the sequences crosses the Earth's shadow.
 
     The others are in the shadow, all the time or not at all, as often as the scene's images; so are
-    those too short to cross it.
+    those too short to cross it. Those too long to stay in it cross it too. Where all images are in
+    the shadow or none is, none else crosses it.
     """
-    crossing = rng.random() < TERMINATOR_RATE
+    crossing = rng.random() < TERMINATOR_RATE and 0 < scene.eclipse_rate < 1
     eclipsed = rng.random() < scene.eclipse_rate
+    wanted = {False, True} if crossing else {eclipsed}
     for attempt in count():
+        if attempt == TRIES and (crossing or eclipsed):
+            wanted = {eclipsed} if crossing else {False, True}
         start = sample_surroundings(scene, rng)
         normal = np.cross(start.nadir, rng.standard_normal(3))
         orbit = Orbit(start, normal / np.linalg.norm(normal))
-        ends = start.eclipsed, orbit.at(seconds).eclipsed
-        wanted = (
-            ends[0] != ends[1] if crossing and attempt < TRIES else ends == (eclipsed, eclipsed)
-        )
-        if wanted:
+        if orbit.shadows(seconds) == wanted:
             break
     return orbit
 

@@ -62,6 +62,12 @@ def follow(
     told, own = estimator.metadata.symmetry, tracker.symmetry
     if not (told.has(own.rotations) and own.has(told.rotations)):
         raise ValueError(f"tracker: expected one of symmetry {told}, got {own}")
+    return _steps(estimator, frames, tracker)
+
+
+def _steps(
+    estimator: PoseEstimator, frames: Iterable[Frame], tracker: Tracker
+) -> Iterator[Followed]:
     for frame in frames:
         point = None if estimator.near is None else tracker.expected(frame.time)
         (answer,) = predict(estimator, [frame.image], point=point)
@@ -102,24 +108,25 @@ def run(
 ) -> list[Followed]:
     """Track the object through frames, and write `TRAJECTORY`, `REPORT` and `OVERLAY` to a folder.
 
-    Whatever exception ends the run, the frames until then are in the trajectory. Ctrl-C is one, and
-    in a command SIGTERM is (`ffpose.cli.main`). Settings are those of the network (`Settings.of`)
-    unless given; ``said`` is called with each frame.
+    Whatever exception ends the run, the frames until then are in the trajectory; without a frame no
+    file is written. Ctrl-C is one, and in a command SIGTERM is (`ffpose.cli.main`). Settings are
+    those of the network (`Settings.of`) unless given; ``said`` is called with each frame.
 
     Raises:
         ValueError: The network has no uncertainty or locates the camera.
         DataError: There was no track in any frame, or images cannot be used; the files are written.
     """
+    settings = settings or Settings.of(estimator.metadata)
+    steps = follow(estimator, frames, Tracker(settings, symmetry=estimator.metadata.symmetry))
     out.mkdir(parents=True, exist_ok=True)
     followed: list[Followed] = []
     try:
-        settings = settings or Settings.of(estimator.metadata)
-        tracker = Tracker(settings, symmetry=estimator.metadata.symmetry)
-        for each in follow(estimator, frames, tracker):
+        for each in steps:
             followed.append(each)
             said(each)
     finally:
-        write_trajectory(followed, out / TRAJECTORY)
+        if followed:
+            write_trajectory(followed, out / TRAJECTORY)
     write_report(followed, out / REPORT, title, estimator.metadata.symmetry)
     if estimator.camera is not None:
         axis_m = axis_length(estimator.metadata.config)

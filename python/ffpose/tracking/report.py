@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +34,11 @@ GROUPS = (
     ("angular velocity", "deg/s", 9),
 )
 OVERLAY_WIDTH = 480
-MARKS = {"gated": "#ffb000", "flagged": "#8a8f98", "coasted": "#8a8f98"}
-"""Border of the frames that did not correct the track."""
+MOST_PICTURES = 300
+"""The most frames of an overlay, which are in memory together, half a megabyte each."""
+
+MARKS = {"switched": "#d64545", "gated": "#ffb000", "flagged": "#8a8f98", "coasted": "#8a8f98"}
+"""Border of the frames that did not correct the track, by outcome."""
 
 
 def write_report(
@@ -82,14 +86,16 @@ def write_overlay(
 ) -> None:
     """Write the frames with the track's axes as an animation (WebP).
 
-    Frames that did not correct the track have a colored border. Files that cannot be read, with
-    ``white`` as of `read_rgb`, are left out; ``axis_m`` is as of `draw_axes`.
+    Of more than `MOST_PICTURES` frames it shows every second, or every third, and so on. Frames
+    that did not correct the track have a colored border. Files that cannot be read, with ``white``
+    as of `read_rgb`, are left out; ``axis_m`` is as of `draw_axes`.
     """
-    pictures = _pictures(followed, camera, white, axis_m)
+    shown = followed[:: math.ceil(len(followed) / MOST_PICTURES) or 1]
+    pictures = _pictures(shown, camera, white, axis_m)
     first = next(pictures, None)
     if first is None:
         return
-    times = np.array([each.frame.time for each in followed])
+    times = np.array([each.frame.time for each in shown])
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     with atomic_write(path) as temporary:
         first.save(
@@ -116,7 +122,7 @@ def _pictures(
         image = image.resize((OVERLAY_WIDTH, height), Image.Resampling.BILINEAR)
         if each.step.estimate is not None:
             image = draw_axes(image, each.step.estimate.pose, camera, axis_m)
-            mark = MARKS.get(each.step.outcome)
+            mark = None if each.step.accepted else MARKS.get(each.step.outcome)
             if mark:
                 box = (0, 0, image.width - 1, image.height - 1)
                 ImageDraw.Draw(image).rectangle(box, outline=mark, width=4)

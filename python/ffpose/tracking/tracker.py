@@ -2,8 +2,9 @@
 
 A multiplicative extended Kalman filter (Lefferts, Markley and Shuster, *Journal of Guidance,
 Control, and Dynamics* 5(5), 1982; Markley, *ibid.* 26(2), 2003) over position, velocity, attitude
-and angular velocity. A network's errors repeat while the object shows the same side, so they are
-states too: first-order Gauss-Markov processes in the angle turned, not in time.
+and angular velocity. A network's errors repeat while the object shows the same side, and are
+considered beside them (Schmidt), not estimated: first-order Gauss-Markov processes in the angle
+turned, not in time.
 """
 
 from __future__ import annotations
@@ -191,9 +192,10 @@ class Step:
         outcome: What became of it.
         accepted: Whether the frame corrected the track that leads.
         estimate: The motion at its time; None without a track.
-        nis: Squared Mahalanobis distance of its pose from what was expected, six degrees of
-            freedom: the normalized innovation squared. None without a track or a pose.
-        mode: Which of its orientations the track was compared with, 0 or 1; None as above.
+        nis: Squared Mahalanobis distance of its pose from what the track that led before it
+            expected, six degrees of freedom: the normalized innovation squared. None where none
+            did, or none does now, or there is no pose.
+        mode: Which of its orientations that track was compared with, 0 or 1; None as above.
     """
 
     time: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections import deque
 from functools import partial
@@ -21,7 +22,13 @@ from ffpose._internal.files import (
 from ffpose._internal.seeds import refuse_final
 from ffpose.errors import DataError, expect
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS
-from ffpose.render.dataset.writer import LEAST_BYTES_PER_PIXEL, PNG_LEVEL, Written, prepare
+from ffpose.render.dataset.writer import (
+    LEAST_BYTES_PER_PIXEL,
+    PNG_LEVEL,
+    Written,
+    readable,
+    prepare,
+)
 from ffpose.render.processes import in_processes
 from ffpose.render.sequence import SEQUENCE, Sequence, render_frame
 
@@ -45,7 +52,7 @@ def write_sequence(
     """Render the frames of a sequence into a folder, with ``frames.csv`` and ``camera.json``.
 
     The same arguments give the same bytes, for any number of workers and however often the run was
-    killed; frames that are there are kept. A share ``drop`` of the frames is lost, 0 to 1, at
+    killed; intact frames in the folder are kept. A share ``drop`` of the frames is lost, 0 to 1, at
     random; the first is not.
 
     Raises:
@@ -64,8 +71,9 @@ def write_sequence(
     kept = np.flatnonzero(rng.random(len(sequence)) >= drop).tolist()
     wanted = sorted({0, *kept})
     _claim(folder, {**sequence.parameters(), "drop": drop})
-    missing = [index for index in wanted if not (folder / frame_name(index)).exists()]
-    least = LEAST_BYTES_PER_PIXEL * sequence.camera.width * sequence.camera.height * len(missing)
+    size = sequence.camera.width, sequence.camera.height
+    missing = [index for index in wanted if not readable(folder / frame_name(index), size)]
+    least = LEAST_BYTES_PER_PIXEL * math.prod(size) * len(missing)
     expect_room(folder, int(least), f"{len(missing)} frames")
     remove_leftovers(folder)
     deque(in_processes(partial(_write, sequence, folder), missing, workers), maxlen=0)

@@ -250,7 +250,7 @@ def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[
             continue
         digest = sha256(path)
         expected = known.get(path.name)
-        if digest == expected or (expected is None and _readable(path, job.size)):
+        if digest == expected or (expected is None and readable(path, job.size)):
             yield index, digest
 
 
@@ -262,7 +262,7 @@ def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
     return True
 
 
-def _readable(path: Path, size: tuple[int, int]) -> bool:
+def readable(path: Path, size: tuple[int, int]) -> bool:
     from PIL import Image
 
     try:
