@@ -26,8 +26,8 @@ from ffpose.render.dataset.writer import (
     LEAST_BYTES_PER_PIXEL,
     PNG_LEVEL,
     Written,
-    readable,
     prepare,
+    readable,
 )
 from ffpose.render.processes import in_processes
 from ffpose.render.sequence import SEQUENCE, Sequence, render_frame

@@ -263,6 +263,7 @@ def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
 
 
 def readable(path: Path, size: tuple[int, int]) -> bool:
+    """Return whether a file is a whole image of a size ``(width, height)``."""
     from PIL import Image
 
     try:
