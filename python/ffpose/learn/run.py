@@ -400,9 +400,9 @@ def _planned(
         "second training": shares[1],
         "budget": f"{config.minutes:g} minutes",
     }
-    least = whole_seconds(record.plans, speed) / 60
-    if least > 1.05 * config.minutes:
-        lines["budget"] += f"; training, tests, card and graph take about {least:.0f} at least"
+    whole = whole_seconds(record.plans, speed) / 60
+    if whole > 1.05 * config.minutes:
+        lines["budget"] += f"; training, tests, card and graph may take {whole:.0f}"
     chosen = [f"{name:16}{text}" for name, text in lines.items()]
     # Those that are not folded, as --symmetry says otherwise, are told too.
     others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
