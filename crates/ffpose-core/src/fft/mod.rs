@@ -33,16 +33,16 @@
 //!   (`steps`) `blocks` over `B`, then `groups`, which transposes squares of vectors for the transform across lanes, with the
 //!   product (`pointwise`) between; and back. It reads the weight in natural order (`weight`); `gradient` brings the sums there.
 //! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for grid or sequence.
-//! - **[`along`]**: all else: other tokens, large planes of few channels, lengths with large primes, double precision, and machines
-//!   without vectors. realfft along the rows of a plane, and columns across vectors, or by rustfft.
+//! - **[`planes`]**: all else. Other tokens and large images of few channels go `across` vectors, with squares of vectors transposed
+//!   between rows and columns; double precision, very long lines and machines without vectors `along` memory, by realfft and rustfft.
 //!
 //! ## What they are made of
 //!
 //! - **[`codelets`]**: DFTs of fixed lengths in registers, complex (`dft`), real (`real_dft`; `real_line` of two factors)
 //!   and turned (`turned_dft`), and the table of their lengths (`lengths`); two real lines as one complex line (`pair`); roots of
 //!   unity.
-//! - **[`transform`]**: complex lines of lengths without large primes ([`transform::mixed_radix`]; those without a codelet in
-//!   `prime`).
+//! - **[`transform`]**: complex lines of any length ([`transform::mixed_radix`]; primes without a codelet in `prime`, and large ones
+//!   in `rader`).
 //! - **[`columns`]**: columns through a pointwise operation, for grid and sequence; `pointwise` has the operations, `geometry`
 //!   where columns are, `order` which bin of a weight each place is.
 //! - [`crate::simd`]: vectors and views of memory as vectors; [`crate::tuning`]: every constant that was measured.
@@ -64,12 +64,12 @@
 
 #![allow(clippy::needless_range_loop)] // indices say which numbers meet; closures would not be inlined
 
-mod along;
 mod batched;
 mod codelets;
 mod columns;
 mod grid;
 mod plan;
+mod planes;
 mod sequence;
 mod tokens;
 mod transform;

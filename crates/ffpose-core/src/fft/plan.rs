@@ -1,11 +1,10 @@
 //! Which kernel filters the images of a shape.
 
-use super::along::AlongLines;
 use super::batched::{self, Batched};
 use super::grid::Grid;
+use super::planes::{Across, Along, Planes};
 use super::sequence::Sequence;
 use super::tokens::Tokens;
-use super::transform::has_transform;
 use crate::kernel::Kernel;
 use crate::simd::{Isa, Stored};
 use crate::tuning::Tuning;
@@ -13,7 +12,8 @@ use crate::{Layout, Real, Shape};
 
 /// The kernel of one shape, planned.
 pub(crate) enum Plan<T: Real> {
-    AlongLines(AlongLines<T>),
+    Across(Planes<Across<T>>),
+    Along(Planes<Along<T>>),
     Batched(Batched<T>),
     Grid(Grid<T>),
     Sequence(Sequence<T>),
@@ -22,12 +22,13 @@ pub(crate) enum Plan<T: Real> {
 
 impl<T: Real> Plan<T> {
     /// The plan for a shape without zeros: vectors across its lines where there are any, and codelets for their lengths; else, or
-    /// where half of every vector would be empty, along the lines.
+    /// where half of every vector would be empty, by squares of vectors; what is left goes along memory.
     pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let Shape { layout, rows, columns, lanes } = shape;
-        let has_transforms = has_transform(rows) && has_transform(columns);
-        if !(isa.has_vectors::<T>() && has_transforms) {
-            return Self::AlongLines(AlongLines::new(isa, shape));
+        let in_a_row = if layout == Layout::Grid { lanes } else { 1 };
+        let along = || Self::Along(Planes::new(shape, Along::new(shape, in_a_row)));
+        if !isa.has_vectors::<T>() {
+            return along();
         }
         if batched::pays::<T>(isa, shape, tuning) {
             return Self::Batched(Batched::new(isa, shape, tuning));
@@ -42,13 +43,17 @@ impl<T: Real> Plan<T> {
                 }
             }
         }
-        Self::AlongLines(AlongLines::new(isa, shape))
+        match Across::new(isa, shape, in_a_row) {
+            Some(across) => Self::Across(Planes::new(shape, across)),
+            None => along(),
+        }
     }
 
     /// The kernel, for images of what is computed in or of half its precision.
     pub(crate) fn kernel<X: Stored<Real = T>>(&self) -> &dyn Kernel<X> {
         match self {
-            Self::AlongLines(kernel) => kernel,
+            Self::Across(kernel) => kernel,
+            Self::Along(kernel) => kernel,
             Self::Batched(kernel) => kernel,
             Self::Grid(kernel) => kernel,
             Self::Sequence(kernel) => kernel,

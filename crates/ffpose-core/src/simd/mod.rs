@@ -142,6 +142,18 @@ pub(crate) unsafe trait Vector:
     fn transpose_in_halves(vectors: &mut [Self]);
 }
 
+/// Transposes the first `LANES` vectors: element `i` of vector `j` becomes element `j` of vector `i`.
+#[inline(always)]
+pub(crate) fn transpose_square<V: Vector>(vectors: &mut [V; MAX_LANES]) {
+    let half = V::LANES / 2;
+    let (first, second) = vectors[..V::LANES].split_at_mut(half);
+    for i in 0..half {
+        (first[i], second[i]) = V::exchange_halves(first[i], second[i]);
+    }
+    V::transpose_in_halves(first);
+    V::transpose_in_halves(second);
+}
+
 /// An algorithm for any vector type of element `T`.
 ///
 /// `run` and all that it calls for each vector must be `#[inline(always)]`.

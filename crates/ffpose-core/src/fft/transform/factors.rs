@@ -1,7 +1,6 @@
 //! Lengths as prime powers, and the order of what they leave behind.
 
 use crate::fft::codelets::has_codelet;
-use crate::tuning::LARGEST_PRIME;
 
 /// `f(a, b)` for every `a`, and for each every `b`.
 pub(super) fn product<R>(a: &[usize], b: &[usize], f: impl Fn(&usize, &usize) -> R) -> Vec<R> {
@@ -24,11 +23,6 @@ pub(super) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
         let a = a % m;
         a + (b % n + n - a % n) * inverse % n * m
     }
-}
-
-/// Whether lines of this length are transformed across vectors; rustfft has more ways for large primes.
-pub(crate) fn has_transform(length: usize) -> bool {
-    groups(length).iter().flatten().all(|&radix| radix <= LARGEST_PRIME)
 }
 
 /// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and

@@ -1,4 +1,4 @@
-//! DFTs of smooth lengths along a line of complex vectors, in place.
+//! DFTs of any length along a line of complex vectors, in place.
 //!
 //! The length is split into coprime prime powers, which need no twiddles between them (Good–Thomas); a prime power is split into
 //! radices with twiddles (Cooley–Tukey, decimation in frequency forward and in time back). Nothing is put in order:
@@ -6,8 +6,10 @@
 
 use super::factors::{groups, inverted, product, remainders};
 use super::prime::{self, PrimeRoots};
+use super::rader::Rader;
 use crate::fft::codelets::{Codelet, Dft, has_codelet, root, with_codelet};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
+use crate::tuning::DEFINED_PRIMES;
 
 /// A planned DFT of one length.
 pub(crate) struct Transform<T> {
@@ -23,8 +25,14 @@ pub(crate) struct Pass<T> {
     digits: Digits,
     /// `[middle][radix]`: what the outputs of a butterfly are multiplied by; ones for `middle == 0`.
     twiddles: Vec<Complex<T>>,
-    /// For a radix without a codelet.
-    prime: Option<PrimeRoots<T>>,
+    butterfly: Butterfly<T>,
+}
+
+/// How a radix is transformed.
+enum Butterfly<T> {
+    Codelet,
+    Definition(PrimeRoots<T>),
+    Convolution(Box<Rader<T>>),
 }
 
 /// Positions are `[outer][radix][middle][inner]`; butterflies differ in twiddles by their middle digit.
@@ -36,7 +44,7 @@ pub(crate) struct Digits {
 }
 
 impl<T: Element> Transform<T> {
-    /// The plan for a length that [has a transform](super::has_transform).
+    /// The plan for a length.
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
         let groups = groups(length);
         let (mut inputs, mut frequencies) = (vec![0], vec![0]);
@@ -45,7 +53,8 @@ impl<T: Element> Transform<T> {
         for group in &groups {
             let size: usize = group.iter().product();
             let inner = length / (outer * size);
-            let (group_inputs, group_frequencies) = group_passes(group, outer, inner, &mut passes);
+            let (group_inputs, group_frequencies) =
+                group_passes(isa, group, outer, inner, &mut passes);
             let (cofactor, join) = (length / size, remainders(outer, size));
             inputs = product(&inputs, &group_inputs, |n, m| (n + cofactor * m) % length);
             frequencies = product(&frequencies, &group_frequencies, |&k, &l| join(k, l));
@@ -74,12 +83,12 @@ impl<T: Element> Transform<T> {
 
     /// Complex vectors of scratch that a run needs.
     pub(crate) fn work_len(&self) -> usize {
-        self.list
-            .iter()
-            .filter(|pass| pass.prime.is_some())
-            .map(|pass| pass.radix)
-            .max()
-            .unwrap_or(0)
+        let work_len = |pass: &Pass<T>| match &pass.butterfly {
+            Butterfly::Codelet => 0,
+            Butterfly::Definition(_) => pass.radix,
+            Butterfly::Convolution(rader) => rader.work_len(),
+        };
+        self.list.iter().map(work_len).max().unwrap_or(0)
     }
 
     /// `X[k] = Σ_n x[n] exp(-2πi k n / N)`.
@@ -100,8 +109,25 @@ impl<T: Element> Transform<T> {
 impl<T: Element> Pass<T> {
     fn run<const INVERSE: bool>(&self, isa: Isa, line: &mut [T], work: &mut [T]) {
         with_codelet!(radix self.radix,
-            R => isa.run(RunPass::<T, INVERSE, R> { pass: self, line }),
-            _ => isa.run(RunPrimePass::<T, INVERSE> { pass: self, line, work }));
+        R => isa.run(RunPass::<T, INVERSE, R> { pass: self, line }),
+        _ => match &self.butterfly {
+            Butterfly::Convolution(rader) => self.convolve::<INVERSE>(rader, line, work),
+            Butterfly::Definition(roots) => {
+                isa.run(RunPrimePass::<T, INVERSE> { pass: self, roots, line, work });
+            }
+            Butterfly::Codelet => unreachable!("radix {} has no codelet", self.radix),
+        });
+    }
+
+    fn convolve<const INVERSE: bool>(&self, rader: &Rader<T>, line: &mut [T], work: &mut [T]) {
+        let Digits { outer, middle, inner } = self.digits;
+        let stride = middle * inner;
+        for (outer, offset) in (0..outer).flat_map(|o| (0..stride).map(move |offset| (o, offset))) {
+            let start = outer * self.radix * stride + offset;
+            let (row, radix) = (offset / inner, self.radix);
+            let twiddles = (row > 0).then(|| &self.twiddles[row * radix..][..radix]);
+            rader.run::<INVERSE>(line, [start, stride], twiddles, work);
+        }
     }
 
     pub(crate) fn radix(&self) -> usize {
@@ -190,6 +216,7 @@ where
 
 struct RunPrimePass<'a, T, const INVERSE: bool> {
     pass: &'a Pass<T>,
+    roots: &'a PrimeRoots<T>,
     line: &'a mut [T],
     work: &'a mut [T],
 }
@@ -197,8 +224,7 @@ struct RunPrimePass<'a, T, const INVERSE: bool> {
 impl<T: Element, const INVERSE: bool> Algorithm<T> for RunPrimePass<'_, T, INVERSE> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Pass { radix, digits: Digits { outer, middle, inner }, twiddles, prime } = self.pass;
-        let roots = prime.as_ref().expect("a radix without codelet has its roots");
+        let Pass { radix, digits: Digits { outer, middle, inner }, twiddles, .. } = self.pass;
         let (line, work) = (complex_vectors::<V>(self.line), complex_vectors::<V>(self.work));
         let stride = middle * inner;
         for butterfly in 0..outer * stride {
@@ -210,7 +236,7 @@ impl<T: Element, const INVERSE: bool> Algorithm<T> for RunPrimePass<'_, T, INVER
                     line[start + k * stride] = line[start + k * stride].times_conj(twiddle.splat());
                 }
             }
-            prime::dft::<V, INVERSE>(roots, line, start, stride, work);
+            prime::dft::<V, INVERSE>(self.roots, line, start, stride, work);
             if !INVERSE {
                 for (k, twiddle) in twiddles.iter().enumerate() {
                     line[start + k * stride] = line[start + k * stride].times(twiddle.splat());
@@ -220,9 +246,16 @@ impl<T: Element, const INVERSE: bool> Algorithm<T> for RunPrimePass<'_, T, INVER
     }
 }
 
+/// Whether a prime is transformed from the definition, not by a convolution.
+fn is_defined(prime: usize) -> bool {
+    let has_codelets = groups(prime - 1).iter().flatten().all(|&radix| has_codelet!(radix radix));
+    prime <= DEFINED_PRIMES[usize::from(!has_codelets)]
+}
+
 /// Appends the passes of a prime power, given as its radices, over positions `[outer][group][inner]`; the input and the
 /// frequency at each position of the group.
 fn group_passes<T: Element>(
+    isa: Isa,
     radices: &[usize],
     outer: usize,
     inner: usize,
@@ -235,9 +268,13 @@ fn group_passes<T: Element>(
         radix,
         digits: Digits { outer, middle, inner },
         twiddles: Vec::new(),
-        prime: (!has_codelet!(radix radix)).then(|| PrimeRoots::new(radix)),
+        butterfly: match radix {
+            radix if has_codelet!(radix radix) => Butterfly::Codelet,
+            radix if is_defined(radix) => Butterfly::Definition(PrimeRoots::new(radix)),
+            _ => Butterfly::Convolution(Box::new(Rader::new(isa, radix))),
+        },
     });
-    let (inputs, frequencies) = group_passes(rest, outer * radix, inner, passes);
+    let (inputs, frequencies) = group_passes(isa, rest, outer * radix, inner, passes);
     let digits: Vec<_> = (0..radix).collect();
     let twiddle = |n| {
         let (c, s) = root(n, radix * middle);

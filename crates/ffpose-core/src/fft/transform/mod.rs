@@ -1,8 +1,9 @@
-//! DFTs of lengths without large primes along a line of complex vectors, in place.
+//! DFTs of any length along a line of complex vectors, in place.
 
 mod factors;
 pub(crate) mod mixed_radix;
 mod prime;
+mod rader;
 
-pub(crate) use self::factors::{has_transform, inverted};
+pub(crate) use self::factors::inverted;
 pub(crate) use self::mixed_radix::Transform;

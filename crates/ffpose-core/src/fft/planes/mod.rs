@@ -1,0 +1,214 @@
+//! The kernels of whole images, which no codelet knows the lengths of: other tokens, and grids of few channels.
+//!
+//! An image is rows of `columns · lanes` numbers. The spectra of its lanes are kept as a [`Spectra`] likes them, and packed weights
+//! and sums of gradients in the same order. The inverse along the columns leaves imaginary parts in the columns of DC and Nyquist,
+//! which the rows do not see: that is the projection that `irfft2` makes.
+
+mod across;
+mod along;
+
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
+
+pub(crate) use self::across::Across;
+pub(crate) use self::along::Along;
+use crate::kernel::{Backward, Factor, Kernel, Packing};
+use crate::parallel::Team;
+use crate::simd::{Element, Stored};
+use crate::views::BATCH;
+use crate::{Layout, Real, Shape};
+
+/// The plan for images of one shape.
+pub(crate) struct Planes<P> {
+    shape: Shape,
+    spectra: P,
+}
+
+/// How the lanes of an image are transformed, and how their spectra are kept.
+pub(crate) trait Spectra<T: Real>: Send + Sync {
+    /// Numbers of the spectra of an image.
+    fn numbers(&self) -> usize;
+
+    /// Numbers of scratch that each member of a team needs.
+    fn scratch_len(&self) -> usize;
+
+    /// What spectra are multiplied by.
+    fn gain(&self) -> f64;
+
+    /// Brings a row of a weight `(columns / 2 + 1, lanes)`, times `norm`, to where the spectra have frequency `u`; imaginary parts times
+    /// that of `norm`.
+    fn pack(&self, u: usize, row: &[[T; 2]], norm: [T; 2], packed: &mut [T]);
+
+    /// The numbers at frequency `u` as a row of a weight.
+    fn unpack(&self, u: usize, sum: &[T], row: &mut [[T; 2]]);
+
+    /// Whether a team shares the work on an image.
+    fn is_shared(&self) -> bool;
+
+    /// Transforms the rows of `image` `(rows, columns · lanes)`.
+    fn enter<X: Stored<Real = T>>(
+        &self,
+        image: ArrayView2<'_, X>,
+        spectra: &mut [T],
+        team: &mut Team<'_, T>,
+    );
+
+    /// Transforms the columns of spectra and, if there is a sum, of those of `x`, whose conjugate times the spectra it grows by.
+    /// Multiplies by `factor`, if there is one, and transforms the columns back. What is left without one is of no account.
+    fn columns(
+        &self,
+        spectra: &mut [T],
+        factor: Option<&[T]>,
+        sum: Option<Sum<'_, T>>,
+        team: &mut Team<'_, T>,
+    );
+
+    /// Transforms rows back to an image.
+    fn leave<X: Stored<Real = T>>(
+        &self,
+        spectra: &mut [T],
+        image: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, T>,
+    );
+}
+
+/// A sum that grows by products of the spectra of `x`, whose rows are transformed.
+pub(crate) struct Sum<'a, T> {
+    pub(crate) x: &'a mut [T],
+    pub(crate) sum: &'a mut [T],
+}
+
+impl<P> Planes<P> {
+    /// The plan for a shape without zeros.
+    pub(crate) fn new(shape: Shape, spectra: P) -> Self {
+        Self { shape, spectra }
+    }
+
+    /// Lanes of an image, in a row one beside the other; tokens have one.
+    fn lanes(&self) -> usize {
+        match self.shape.layout {
+            Layout::Tokens => 1,
+            Layout::Grid => self.shape.lanes,
+        }
+    }
+
+    /// An image `(points, lanes)` by rows.
+    fn by_rows<'a, X>(&self, image: ArrayView2<'a, X>) -> ArrayView2<'a, X> {
+        let dim = (self.shape.rows, self.shape.columns * self.lanes());
+        image.into_shape_with_order(dim).expect("an image has no gaps")
+    }
+
+    /// As [`by_rows`](Self::by_rows), to write.
+    fn by_rows_mut<'a, X>(&self, image: ArrayViewMut2<'a, X>) -> ArrayViewMut2<'a, X> {
+        let dim = (self.shape.rows, self.shape.columns * self.lanes());
+        image.into_shape_with_order(dim).expect("an image has no gaps")
+    }
+
+    /// Numbers of a row of a weight.
+    fn weights_of_row(&self) -> usize {
+        self.shape.half() * self.lanes()
+    }
+
+    /// Points of a plane.
+    fn points(&self) -> f64 {
+        (self.shape.rows * self.shape.columns) as f64
+    }
+}
+
+impl<T: Real, P: Spectra<T>> Packing<T> for Planes<P> {
+    fn packed_len(&self, _: usize) -> usize {
+        self.spectra.numbers()
+    }
+
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        _: &mut Team<'_, T>,
+    ) {
+        let norm = T::nearest(1.0 / (self.points() * self.spectra.gain()));
+        let weight = weight.to_slice().expect("a weight has no gaps");
+        let norm = [norm, if factor == Factor::Conjugate { -norm } else { norm }];
+        let rows = weight.as_chunks().0.chunks_exact(self.weights_of_row());
+        rows.enumerate().for_each(|(u, row)| self.spectra.pack(u, row, norm, packed));
+    }
+}
+
+impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
+    fn tile(&self) -> usize {
+        self.shape.lanes
+    }
+
+    fn scratch_len(&self) -> usize {
+        2 * self.spectra.numbers() + self.spectra.scratch_len()
+    }
+
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
+        Some(self)
+    }
+
+    fn sum_len(&self, _: usize) -> usize {
+        self.spectra.numbers()
+    }
+
+    fn forward(
+        &self,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let (spectra, mut team) = team.share(2 * self.spectra.numbers());
+        let spectra = &mut spectra[..self.spectra.numbers()];
+        for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
+            self.spectra.enter(self.by_rows(x), spectra, &mut team);
+            self.spectra.columns(spectra, Some(packed), None, &mut team);
+            self.spectra.leave(spectra, self.by_rows_mut(y), &mut team);
+        }
+    }
+
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
+        let Backward { grad, x, weight, mut grad_x, mut grad_sum, images_each } = pass;
+        let numbers = self.spectra.numbers();
+        let (spectra, mut team) = team.share(2 * numbers);
+        let (spectra, of_x) = spectra[..2 * numbers].split_at_mut(numbers);
+        for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
+            self.spectra.enter(self.by_rows(grad), spectra, &mut team);
+            let sum = grad_sum.as_deref_mut().map(|sums| {
+                self.spectra.enter(self.by_rows(x), of_x, &mut team);
+                Sum { x: &mut *of_x, sum: &mut sums[image / images_each * numbers..][..numbers] }
+            });
+            let factor = grad_x.is_some().then_some(weight);
+            self.spectra.columns(spectra, factor, sum, &mut team);
+            if let Some(grad_x) = &mut grad_x {
+                let grad_x = grad_x.index_axis_mut(BATCH, image);
+                self.spectra.leave(spectra, self.by_rows_mut(grad_x), &mut team);
+            }
+        }
+    }
+
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        _: &mut Team<'_, X::Real>,
+    ) {
+        let once = 1.0 / (self.points() * self.spectra.gain().powi(2));
+        let factors = [once, 2.0 * once].map(X::Real::nearest);
+        let grad_weight = grad_weight.as_slice_mut().expect("a weight has no gaps");
+        let rows = grad_weight.as_chunks_mut().0.chunks_exact_mut(self.weights_of_row());
+        for (u, row) in rows.enumerate() {
+            self.spectra.unpack(u, grad_sum, row);
+            for (v, lanes) in row.chunks_exact_mut(self.lanes()).enumerate() {
+                // columns of DC and Nyquist stand for themselves alone
+                let is_real = v == 0 || 2 * v == self.shape.columns;
+                let factor = factors[usize::from(!is_real)];
+                lanes.as_flattened_mut().iter_mut().for_each(|part| *part = *part * factor);
+            }
+        }
+    }
+
+    fn is_shared(&self) -> bool {
+        self.spectra.is_shared()
+    }
+}
