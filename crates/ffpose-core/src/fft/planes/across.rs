@@ -8,6 +8,7 @@ use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::{Spectra, Sum};
 use crate::fft::codelets::pair::{join, split};
+use crate::fft::columns::{Columns, First};
 use crate::fft::transform::Transform;
 use crate::parallel::Team;
 use crate::simd::{
@@ -25,7 +26,7 @@ pub(crate) struct Across<T> {
     isa: Isa,
     lanes: usize,
     along_rows: Transform<T>,
-    along_columns: Transform<T>,
+    along_columns: Columns<T>,
     groups: usize,
     /// For each number of a row its place in the lines of the image's lanes.
     places: Vec<usize>,
@@ -43,7 +44,7 @@ impl<T: Real> Across<T> {
         if width * lanes < vector || 2 * rows < vector || is_long {
             return None;
         }
-        let (along_rows, along_columns) = (Transform::new(isa, width), Transform::new(isa, rows));
+        let along_rows = Transform::new(isa, width);
         let groups = shape.half().div_ceil(vector);
         let place = |number| number % lanes * width + along_rows.inputs()[number / lanes];
         let outputs = along_rows.outputs();
@@ -58,7 +59,7 @@ impl<T: Real> Across<T> {
             places: (0..width * lanes).map(place).collect(),
             mirrored: (0..groups * vector).map(mirrored).collect(),
             along_rows,
-            along_columns,
+            along_columns: Columns::new(isa, rows, 1, First::Complex),
         })
     }
 
@@ -72,17 +73,21 @@ impl<T: Real> Across<T> {
         self.lanes * self.groups
     }
 
-    /// Rows that go together.
+    /// Rows of a block.
     fn rows_each(&self) -> usize {
         HALVES * self.isa.lanes::<T>()
     }
 
-    /// Rows that go together, in an image.
-    fn blocks(&self) -> usize {
-        self.along_columns.len().div_ceil(self.rows_each())
+    fn rows(&self) -> usize {
+        self.along_columns.transform().len()
     }
 
-    /// Numbers of the spectra of rows that go together.
+    /// Blocks of an image.
+    fn blocks(&self) -> usize {
+        self.rows().div_ceil(self.rows_each())
+    }
+
+    /// Numbers of the spectra of a block.
     fn block_len(&self) -> usize {
         self.len_of(self.columns() * self.rows_each())
     }
@@ -118,7 +123,7 @@ impl<T: Real> Across<T> {
 
     /// Where a packed weight has frequency `u` of a column of groups.
     fn place(&self, u: usize, column: usize) -> usize {
-        self.len_of(column * self.along_columns.len() + self.along_columns.outputs()[u])
+        self.len_of(column * self.rows() + self.along_columns.transform().outputs()[u])
     }
 
     fn run_rows<const INVERSE: bool>(&self, lines: &mut [T], work: &mut [T]) {
@@ -138,9 +143,9 @@ impl<T: Real> Spectra<T> for Across<T> {
     }
 
     fn scratch_len(&self) -> usize {
-        let [rows, columns] = [&self.along_rows, &self.along_columns];
-        let of_rows = self.lanes * rows.len() + rows.work_len();
-        self.len_of(of_rows.max(2 * columns.len() + columns.work_len()))
+        let (rows, columns) = (&self.along_rows, &self.along_columns);
+        let of_rows = self.len_of(self.lanes * rows.len() + rows.work_len());
+        of_rows.max(2 * columns.len() + columns.work_len())
     }
 
     fn gain(&self) -> f64 {
@@ -201,24 +206,23 @@ impl<T: Real> Spectra<T> for Across<T> {
         team: &mut Team<'_, T>,
     ) {
         let (x, sum) = sum.map(|Sum { x, sum }| (x, sum)).unzip();
-        let (len, count) = (self.len_of(self.along_columns.len()), self.columns());
+        let (len, count) = (self.along_columns.packed_len(), self.columns());
         let x = in_order(count, x.map(|x| self.columns_of(x)));
         let sums = in_order(count, sum.map(|sum| sum.chunks_exact_mut(len)));
         let columns = self.columns_of(spectra).zip(x).zip(sums).enumerate();
-        let (transform, inputs) = (&self.along_columns, self.along_columns.inputs());
+        let inputs = self.along_columns.transform().inputs();
         team.run(columns, |(index, ((mut column, x), sum)), scratch| {
-            let (line, scratch) = scratch.split_at_mut(len);
-            let (of_x, work) = scratch.split_at_mut(len);
+            let (line, scratch) = scratch.split_at_mut(self.along_columns.len());
+            let (of_x, work) = scratch.split_at_mut(self.along_columns.len());
             self.isa.run(EnterColumn { column: column.view(), inputs, line: &mut *line });
-            transform.forward(line, work);
+            let factor = factor.map(|factor| &factor[index * len..][..len]);
             if let (Some(x), Some(sum)) = (x, sum) {
                 self.isa.run(EnterColumn { column: x.view(), inputs, line: &mut *of_x });
-                transform.forward(of_x, work);
-                self.isa.run(Accumulate { sum, x: of_x, line: &*line });
+                self.along_columns.gradient(line, of_x, factor, sum, work);
+            } else if let Some(factor) = factor {
+                self.along_columns.filter(line, factor, work);
             }
-            if let Some(factor) = factor {
-                self.isa.run(Multiply { line: &mut *line, factor: &factor[index * len..][..len] });
-                transform.inverse(line, work);
+            if factor.is_some() {
                 self.isa.run(LeaveColumn { column: column.view_mut(), inputs, line });
                 self.make_real(index, &mut column);
             }
@@ -419,39 +423,6 @@ impl<T: Element> Algorithm<T> for LeaveColumn<'_, T> {
             }
             // what is large there would cost its partner's digits
             missing.fill(Complex::zero());
-        }
-    }
-}
-
-/// `line · factor`.
-struct Multiply<'a, T> {
-    line: &'a mut [T],
-    factor: &'a [T],
-}
-
-impl<T: Element> Algorithm<T> for Multiply<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let factor = complex_vectors_of::<V>(self.factor);
-        for (z, &w) in complex_vectors::<V>(self.line).iter_mut().zip(factor) {
-            *z = z.times(w);
-        }
-    }
-}
-
-/// `sum + conj(x) · line`.
-struct Accumulate<'a, T> {
-    sum: &'a mut [T],
-    x: &'a [T],
-    line: &'a [T],
-}
-
-impl<T: Element> Algorithm<T> for Accumulate<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let (x, line) = (complex_vectors_of::<V>(self.x), complex_vectors_of::<V>(self.line));
-        for ((sum, &x), &z) in complex_vectors::<V>(self.sum).iter_mut().zip(x).zip(line) {
-            *sum = sum.plus_times_conj(z, x);
         }
     }
 }
