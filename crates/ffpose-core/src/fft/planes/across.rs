@@ -1,8 +1,8 @@
 //! Transforms across vectors in both directions: squares of vectors are transposed between rows and columns.
 //!
 //! As many rows as two vectors have lanes go together, as real and imaginary part of one complex line for each lane of the image
-//! ([`pair`](crate::fft::codelets::pair)): a *block*. Frequencies of a row that fill a vector are a *group*. The spectra of an image are
-//! `(blocks, lanes of the image, groups, rows of a block)` complex vectors; a packed weight has the places of each group in turn.
+//! ([`pair`](crate::fft::codelets::pair)): a *band*. Frequencies of a row that fill a vector are a *group*. The spectra of an image are
+//! `(bands, lanes of the image, groups, rows of a band)` complex vectors; a packed weight has the places of each group in turn.
 
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
@@ -73,7 +73,7 @@ impl<T: Real> Across<T> {
         self.lanes * self.groups
     }
 
-    /// Rows of a block.
+    /// Rows of a band.
     fn rows_each(&self) -> usize {
         HALVES * self.isa.lanes::<T>()
     }
@@ -82,19 +82,19 @@ impl<T: Real> Across<T> {
         self.along_columns.transform().len()
     }
 
-    /// Blocks of an image.
-    fn blocks(&self) -> usize {
+    /// Bands of an image.
+    fn bands(&self) -> usize {
         self.rows().div_ceil(self.rows_each())
     }
 
-    /// Numbers of the spectra of a block.
-    fn block_len(&self) -> usize {
+    /// Numbers of the spectra of a band.
+    fn band_len(&self) -> usize {
         self.len_of(self.columns() * self.rows_each())
     }
 
-    /// All columns of spectra, `(blocks, numbers)`.
+    /// All columns of spectra, `(bands, numbers)`.
     fn columns_of<'a>(&self, spectra: &'a mut [T]) -> impl Iterator<Item = ArrayViewMut2<'a, T>> {
-        let dim = (self.blocks(), self.columns(), self.len_of(self.rows_each()));
+        let dim = (self.bands(), self.columns(), self.len_of(self.rows_each()));
         let spectra = ArrayViewMut3::from_shape(dim, spectra).expect("the spectra of an image");
         chunks_mut(spectra, Axis(1), 1).map(|column| column.index_axis_move(Axis(1), 0))
     }
@@ -139,7 +139,7 @@ impl<T: Real> Across<T> {
 
 impl<T: Real> Spectra<T> for Across<T> {
     fn numbers(&self) -> usize {
-        self.blocks() * self.block_len()
+        self.bands() * self.band_len()
     }
 
     fn scratch_len(&self) -> usize {
@@ -188,13 +188,13 @@ impl<T: Real> Spectra<T> for Across<T> {
         spectra: &mut [T],
         team: &mut Team<'_, T>,
     ) {
-        let blocks = spectra.chunks_mut(self.block_len()).enumerate();
-        team.run(blocks, |(index, block), scratch| {
+        let bands = spectra.chunks_mut(self.band_len()).enumerate();
+        team.run(bands, |(index, band), scratch| {
             let (lines, work) = self.lines(scratch);
             let (image, first) = (Tile::new(image), index * self.rows_each());
             self.isa.run(EnterRows { image, first, places: &self.places, lines: &mut *lines });
             self.run_rows::<false>(lines, work);
-            self.isa.run(SplitRows { across: self, lines, block });
+            self.isa.run(SplitRows { across: self, lines, band });
         });
     }
 
@@ -236,10 +236,10 @@ impl<T: Real> Spectra<T> for Across<T> {
         team: &mut Team<'_, T>,
     ) {
         let images = chunks_mut(image.insert_axis(Axis(0)), Axis(1), self.rows_each());
-        let blocks = spectra.chunks(self.block_len()).zip(images);
-        team.run(blocks, |(block, image), scratch| {
+        let bands = spectra.chunks(self.band_len()).zip(images);
+        team.run(bands, |(band, image), scratch| {
             let (lines, work) = self.lines(scratch);
-            self.isa.run(JoinRows { across: self, lines: &mut *lines, block });
+            self.isa.run(JoinRows { across: self, lines: &mut *lines, band });
             self.run_rows::<true>(lines, work);
             let image = TileMut::new(image.index_axis_move(Axis(0), 0));
             self.isa.run(LeaveRows { image, places: &self.places, lines });
@@ -317,14 +317,14 @@ impl<X: Stored> Algorithm<X::Real> for LeaveRows<'_, X> {
 struct SplitRows<'a, T> {
     across: &'a Across<T>,
     lines: &'a mut [T],
-    block: &'a mut [T],
+    band: &'a mut [T],
 }
 
 impl<T: Real> Algorithm<T> for SplitRows<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let (lines, block) = (complex_vectors::<V>(self.lines), complex_vectors::<V>(self.block));
-        let mut columns = block.chunks_exact_mut(HALVES * V::LANES);
+        let (lines, band) = (complex_vectors::<V>(self.lines), complex_vectors::<V>(self.band));
+        let mut columns = band.chunks_exact_mut(HALVES * V::LANES);
         for line in lines.chunks_exact(self.across.along_rows.len()) {
             for mirrored in self.across.mirrored.chunks_exact(V::LANES) {
                 let column = columns.next().expect("a column for each group");
@@ -349,14 +349,14 @@ impl<T: Real> Algorithm<T> for SplitRows<'_, T> {
 struct JoinRows<'a, T> {
     across: &'a Across<T>,
     lines: &'a mut [T],
-    block: &'a [T],
+    band: &'a [T],
 }
 
 impl<T: Real> Algorithm<T> for JoinRows<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let lines = complex_vectors::<V>(self.lines);
-        let mut columns = complex_vectors_of::<V>(self.block).chunks_exact(HALVES * V::LANES);
+        let mut columns = complex_vectors_of::<V>(self.band).chunks_exact(HALVES * V::LANES);
         let width = self.across.along_rows.len();
         for line in lines.chunks_exact_mut(width) {
             let mut left = width / 2 + 1; // frequencies, without repetitions
@@ -393,10 +393,10 @@ impl<T: Element> Algorithm<T> for EnterColumn<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
-        let blocks = self.column.outer_iter().zip(self.inputs.chunks(HALVES * V::LANES));
-        for (block, inputs) in blocks {
-            let block = block.to_slice().expect("a block has no gaps");
-            for (&z, &input) in complex_vectors_of::<V>(block).iter().zip(inputs) {
+        let bands = self.column.outer_iter().zip(self.inputs.chunks(HALVES * V::LANES));
+        for (band, inputs) in bands {
+            let band = band.to_slice().expect("a band has no gaps");
+            for (&z, &input) in complex_vectors_of::<V>(band).iter().zip(inputs) {
                 line[input] = z;
             }
         }
@@ -414,10 +414,10 @@ impl<T: Element> Algorithm<T> for LeaveColumn<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
         let line = complex_vectors::<V>(self.line);
-        let blocks = self.column.outer_iter_mut().zip(self.inputs.chunks(HALVES * V::LANES));
-        for (block, inputs) in blocks {
-            let block = block.into_slice().expect("a block has no gaps");
-            let (rows, missing) = complex_vectors::<V>(block).split_at_mut(inputs.len());
+        let bands = self.column.outer_iter_mut().zip(self.inputs.chunks(HALVES * V::LANES));
+        for (band, inputs) in bands {
+            let band = band.into_slice().expect("a band has no gaps");
+            let (rows, missing) = complex_vectors::<V>(band).split_at_mut(inputs.len());
             for (z, &input) in rows.iter_mut().zip(inputs) {
                 *z = line[input];
             }
