@@ -6,7 +6,8 @@
 //! - images are `(batch, points, lanes)`: grid, points = H·W and lanes = C; tokens, points = X and lanes = Y;
 //! - weights are `(bins, lanes, 2)`: grid, bins = H·(W/2+1); tokens, `(X, Y/2+1, 2)`.
 //!
-//! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
+//! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary; an image of all
+//! lanes, and a weight of all lanes, has no gaps. In a
 //! weight view real and imaginary part are neighbors and the stride of the lanes is 2. No dimension is zero, and
 //! weights, gradient sums and the team's scratches have exactly the lengths that the kernel asked for, and
 //! begin where a vector may; the driver has seen to it.
@@ -66,8 +67,9 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         team: &mut Team<'_, X::Real>,
     );
 
-    /// Whether the members of a team share the work on a piece. Then the piece may be all images, in several parts.
-    fn is_shared(&self) -> bool {
+    /// Whether the members of a team had better share the work on a batch of so many images, if threads would idle otherwise. Then a
+    /// piece is all images, in several parts.
+    fn shares(&self, _images: usize) -> bool {
         false
     }
 

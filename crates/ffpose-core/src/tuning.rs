@@ -46,14 +46,15 @@ pub(crate) const L1_CACHE: usize = 1 << 15;
 /// Points of an image of few channels that are copied before those of the next: their lines stay in the L1 cache.
 pub(crate) const COPIED_POINTS: usize = 64;
 
-/// Points of an image of many channels that are copied to planes together: their lines meet in the same few sets of the cache.
+/// Points of a row of many channels that are copied to the rows of its lanes together: their lines meet in the same few sets of the cache.
 pub(crate) const GATHERED_POINTS: usize = 8;
 
-/// The largest primes that are transformed from the definition: those whose convolution has codelets, which takes three quarters of
-/// the time at 41 and 61 and more below, and others, of which 59 takes 1.4 times as long by a convolution.
+/// The largest primes `p` that are transformed from the definition: where `p - 1` has codelets, and where not. Of the first a convolution
+/// takes three quarters of the time at 41 and 61, and longer than the definition up to 37; of the others 1.4 times as long at 59.
 pub(crate) const DEFINED_PRIMES: [usize; 2] = [37, 61];
 
-/// Bytes of the lines of some rows up to which they are transformed across vectors: beyond a cache, lines along memory are faster.
+/// Bytes of a column's line, and of the lines of a row's lanes, up to which squares of vectors are transposed between them: beyond a
+/// cache, lines along memory are faster.
 pub(crate) const LONGEST_LINE: usize = 1 << 20;
 
 /// Numbers of a gradient's sum that one member of a team adds up at a time.

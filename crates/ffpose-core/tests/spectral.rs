@@ -13,7 +13,7 @@ use ndarray::{ArrayD, Axis};
 use rustfft::num_traits::FromPrimitive;
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 29] = [
+const GRIDS: [[usize; 4]; 33] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -40,6 +40,10 @@ const GRIDS: [[usize; 4]; 29] = [
     [2, 1, 140, 7],
     [1, 1, 4576, 1],
     [1, 40, 60, 1],
+    [2, 9, 803, 7],
+    [1, 67, 131, 5],
+    [1, 131, 40, 4],
+    [1, 33, 127, 2],
     // several images of few channels together
     [33, 1, 12, 7],
     [18, 1, 15, 3],
@@ -47,7 +51,7 @@ const GRIDS: [[usize; 4]; 29] = [
     [20, 6, 5, 2],
     [3, 4, 4, 15],
 ];
-const TOKENS: [[usize; 3]; 26] = [
+const TOKENS: [[usize; 3]; 28] = [
     [2, 14, 16],
     [9, 520, 2],
     [1, 196, 64],
@@ -71,6 +75,8 @@ const TOKENS: [[usize; 3]; 26] = [
     [1, 768, 32],
     [2, 67, 40], // a large prime
     [1, 30, 134],
+    [2, 67, 30], // half spectra of a vector, and of one more
+    [1, 33, 32],
     // several images together
     [18, 50, 2],
     [19, 2, 50],

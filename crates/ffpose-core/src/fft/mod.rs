@@ -34,7 +34,8 @@
 //!   product (`pointwise`) between; and back. It reads the weight in natural order (`weight`); `gradient` brings the sums there.
 //! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for grid or sequence.
 //! - **[`planes`]**: all else. Other tokens and large images of few channels go `across` vectors, with squares of vectors transposed
-//!   between rows and columns; double precision, very long lines and machines without vectors `along` memory, by realfft and rustfft.
+//!   between rows and columns; double precision, machines without vectors, images too small for squares and very long lines `along`
+//!   memory, by realfft and rustfft.
 //!
 //! ## What they are made of
 //!
@@ -43,7 +44,7 @@
 //!   unity.
 //! - **[`transform`]**: complex lines of any length ([`transform::mixed_radix`]; primes without a codelet in `prime`, and large ones
 //!   in `rader`).
-//! - **[`columns`]**: columns through a pointwise operation, for grid and sequence; `pointwise` has the operations, `geometry`
+//! - **[`columns`]**: columns through a pointwise operation, for grid, sequence and planes; `pointwise` has the operations, `geometry`
 //!   where columns are, `order` which bin of a weight each place is.
 //! - [`crate::simd`]: vectors and views of memory as vectors; [`crate::tuning`]: every constant that was measured.
 //!

@@ -28,7 +28,7 @@ use crate::{Error, Isa, Real, Shape};
 pub use self::prepared::Prepared;
 
 /// More bytes than a plan takes for each number of a plane's half spectrum, and for each of the lengths that are transformed; for
-/// large primes these are tables of convolutions, made by libraries that cannot fail.
+/// large primes these are tables of convolutions, which are made where nothing can fail.
 const BYTES_A_BIN: usize = 64;
 const BYTES_A_POINT: usize = 512;
 

@@ -1,4 +1,4 @@
-//! The columns of a grid: forward transform, what is done with the spectrum, and inverse, one column at a time in cache.
+//! The columns of an image: forward transform, what is done with the spectrum, and inverse, one column at a time in cache.
 //!
 //! A packed weight, and a gradient sum, holds for each column its places in turn. The places of two real columns, those of DC and
 //! Nyquist, packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it.

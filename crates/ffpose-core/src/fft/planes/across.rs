@@ -35,7 +35,8 @@ pub(crate) struct Across<T> {
 }
 
 impl<T: Real> Across<T> {
-    /// The plan for a shape of so many lanes, unless its lines are shorter than a vector or too long for a cache.
+    /// The plan for a shape of so many lanes, unless its rows are shorter than a vector, its columns than half of one, or either are
+    /// too long for a cache.
     pub(crate) fn new(isa: Isa, shape: Shape, lanes: usize) -> Option<Self> {
         let Shape { rows, columns: width, .. } = shape;
         let vector = isa.lanes::<T>();
@@ -178,8 +179,9 @@ impl<T: Real> Spectra<T> for Across<T> {
         }
     }
 
-    fn is_shared(&self) -> bool {
-        true
+    /// Fewer images than bands: as many members work on an image.
+    fn shares(&self, images: usize) -> bool {
+        images < self.bands()
     }
 
     fn enter<X: Stored<Real = T>>(

@@ -1,5 +1,5 @@
-//! realfft along rows and rustfft along columns, for machines without vectors, double precision, and lengths too long for vectors
-//! across them.
+//! realfft along rows and rustfft along columns, for machines without vectors, double precision, images too small for squares of
+//! vectors (long sequences of few channels among them), and lines too long for them.
 
 use std::sync::Arc;
 
@@ -14,6 +14,7 @@ use super::{Spectra, Sum};
 use crate::parallel::Team;
 use crate::simd::Stored;
 use crate::tuning::GATHERED_POINTS;
+use crate::views::in_order;
 use crate::{Real, Shape};
 
 /// The spectrum of each lane by columns, one lane after the other.
@@ -119,7 +120,7 @@ impl<T: Real> Spectra<T> for Along<T> {
         }
     }
 
-    fn is_shared(&self) -> bool {
+    fn shares(&self, _: usize) -> bool {
         false
     }
 
@@ -151,20 +152,30 @@ impl<T: Real> Spectra<T> for Along<T> {
         team: &mut Team<'_, T>,
     ) {
         let AlongBuffers { inner, .. } = self.buffers(team.scratch());
-        let spectra: &mut [Complex<T>] = cast_slice_mut(spectra);
-        self.columns_forward.process_with_scratch(spectra, inner);
-        if let Some(Sum { x, sum }) = sum {
-            let (x, sum): (&mut [Complex<T>], &mut [Complex<T>]) =
-                (cast_slice_mut(x), cast_slice_mut(sum));
-            self.columns_forward.process_with_scratch(x, inner);
-            for ((sum, x), value) in sum.iter_mut().zip(x).zip(&*spectra) {
-                *sum = *sum + x.conj() * *value;
+        let len = 2 * self.bins();
+        let (x, sum) = sum.map(|Sum { x, sum }| (x, sum)).unzip();
+        let x = in_order(self.lanes, x.map(|x| x.chunks_exact_mut(len)));
+        let sums = in_order(self.lanes, sum.map(|sum| sum.chunks_exact_mut(len)));
+        let factors = in_order(self.lanes, factor.map(|factor| factor.chunks_exact(len)));
+        // lane by lane, while one is in cache
+        for (((lane, x), sum), factor) in
+            spectra.chunks_exact_mut(len).zip(x).zip(sums).zip(factors)
+        {
+            let lane: &mut [Complex<T>] = cast_slice_mut(lane);
+            self.columns_forward.process_with_scratch(lane, inner);
+            if let (Some(x), Some(sum)) = (x, sum) {
+                let (x, sum): (&mut [Complex<T>], &mut [Complex<T>]) =
+                    (cast_slice_mut(x), cast_slice_mut(sum));
+                self.columns_forward.process_with_scratch(x, inner);
+                for ((sum, x), value) in sum.iter_mut().zip(x).zip(&*lane) {
+                    *sum = *sum + x.conj() * *value;
+                }
             }
-        }
-        if let Some(factor) = factor {
-            let factor: &[Complex<T>] = cast_slice(factor);
-            spectra.iter_mut().zip(factor).for_each(|(value, w)| *value = *value * *w);
-            self.columns_inverse.process_with_scratch(spectra, inner);
+            if let Some(factor) = factor {
+                let factor: &[Complex<T>] = cast_slice(factor);
+                lane.iter_mut().zip(factor).for_each(|(value, w)| *value = *value * *w);
+                self.columns_inverse.process_with_scratch(lane, inner);
+            }
         }
     }
 

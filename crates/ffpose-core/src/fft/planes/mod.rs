@@ -1,4 +1,4 @@
-//! The kernels of whole images, which no codelet knows the lengths of: other tokens, and grids of few channels.
+//! The kernels of whole images: tokens without codelets, large grids of few channels, and all that has no vectors.
 //!
 //! An image is rows of `columns · lanes` numbers. The spectra of its lanes are kept as a [`Spectra`] likes them, and packed weights
 //! and sums of gradients in the same order. The inverse along the columns leaves imaginary parts in the columns of DC and Nyquist,
@@ -41,8 +41,8 @@ pub(crate) trait Spectra<T: Real>: Send + Sync {
     /// The numbers at frequency `u` as a row of a weight.
     fn unpack(&self, u: usize, sum: &[T], row: &mut [[T; 2]]);
 
-    /// Whether a team shares the work on an image.
-    fn is_shared(&self) -> bool;
+    /// As [`Kernel::shares`]: images go through a team one after the other.
+    fn shares(&self, images: usize) -> bool;
 
     /// Transforms the rows of `image` `(rows, columns · lanes)`.
     fn enter<X: Stored<Real = T>>(
@@ -208,7 +208,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         }
     }
 
-    fn is_shared(&self) -> bool {
-        self.spectra.is_shared()
+    fn shares(&self, images: usize) -> bool {
+        self.spectra.shares(images)
     }
 }

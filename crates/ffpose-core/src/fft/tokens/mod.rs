@@ -233,7 +233,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         team.run(jobs, |((step, sum), mut gradient), _| self.unpack(step, sum, &mut gradient));
     }
 
-    fn is_shared(&self) -> bool {
+    fn shares(&self, _: usize) -> bool {
         true
     }
 }

@@ -67,7 +67,7 @@ impl<'a, X: Number> Batch<'a, X> {
         let pieces = tiling.pieces();
         let rounds = pieces.div_ceil(threads);
         // threads that would idle for more than a fifth of the time help with each piece, if the kernel lets them
-        if kernel.is_shared() && 4 * rounds * threads > 5 * pieces {
+        if kernel.shares(images) && 4 * rounds * threads > 5 * pieces {
             let tiling = Tiling::new(shape, kernel.tile(), images, images);
             return Self { tiling, members: parallel::worth_together(pool, elements), ..alone };
         }

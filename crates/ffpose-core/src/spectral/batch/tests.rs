@@ -27,7 +27,7 @@ impl Pool for Threads {
 }
 
 /// Shapes of the networks, and sizes that no power of two divides.
-const SHAPES: [(Layout, [usize; 3]); 12] = [
+const SHAPES: [(Layout, [usize; 3]); 11] = [
     (Layout::Grid, [7, 7, 512]),
     (Layout::Grid, [14, 14, 256]),
     (Layout::Grid, [14, 14, 384]),
@@ -39,7 +39,6 @@ const SHAPES: [(Layout, [usize; 3]); 12] = [
     (Layout::Tokens, [1, 196, 256]),
     (Layout::Tokens, [1, 784, 128]),
     (Layout::Tokens, [1, 784, 256]),
-    (Layout::Tokens, [1, 197, 256]),
 ];
 
 /// Numbers of images that each worker, or each member, is done with at the end, if all numbers take the same time.
@@ -96,7 +95,7 @@ fn imbalance(shape: Shape, isa: Isa, (images, summed): (usize, bool), threads: u
         _ => parallel::worth_together(&pool, elements),
     };
     let (most, all) = (loads.iter().max().unwrap(), loads.iter().sum::<usize>());
-    let pieces = match kernel.is_shared() {
+    let pieces = match kernel.shares(images) {
         true => 14 * images,
         false if summed => batch.tiling.parts() * shape.lanes / granule,
         false => images * shape.lanes / granule,
