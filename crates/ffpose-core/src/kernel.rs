@@ -44,7 +44,9 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
 
     /// Numbers in the gradient sum of a tile of at most `lanes` lanes. That of a tile is those of its narrowest tiles, one after
     /// the other.
-    fn sum_len(&self, lanes: usize) -> usize;
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.packing().map_or(0, |packing| packing.packed_len(lanes))
+    }
 
     /// `y = irfft2(rfft2(x) · W)`, overwriting `y`.
     fn forward(

@@ -2,9 +2,7 @@
 
 use std::str::FromStr;
 
-use ndarray::{
-    ArrayBase, ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Ix3, IxDyn, RawData,
-};
+use ndarray::{ArrayBase, Ix3, IxDyn, RawData};
 
 use crate::Error;
 use crate::error::tuple;
@@ -76,6 +74,11 @@ impl Shape {
         self.columns / 2 + 1
     }
 
+    /// Planes of an image: tokens are one.
+    pub(crate) fn channels(&self) -> usize {
+        if self.layout == Layout::Grid { self.lanes } else { 1 }
+    }
+
     /// Numbers in the half spectrum of a plane.
     pub(crate) fn bins_len(&self) -> usize {
         self.rows.saturating_mul(self.half())
@@ -87,43 +90,22 @@ impl Shape {
     }
 
     /// `array` as `(batch, points, lanes)`; `expected` is the shape it shares with others of the call.
-    pub(crate) fn images<'a, T>(
+    pub(crate) fn images<S: RawData>(
         &self,
         name: &'static str,
         expected: &[usize],
-        array: ArrayViewD<'a, T>,
-    ) -> Result<ArrayView3<'a, T>, Error> {
-        let batch = self.batch(name, expected, array.shape())?;
-        contiguous(name, array, (batch, self.points(), self.lanes))
-    }
-
-    /// As [`Shape::images`], to be written.
-    pub(crate) fn images_mut<'a, T>(
-        &self,
-        name: &'static str,
-        expected: &[usize],
-        array: ArrayViewMutD<'a, T>,
-    ) -> Result<ArrayViewMut3<'a, T>, Error> {
+        array: ArrayBase<S, IxDyn>,
+    ) -> Result<ArrayBase<S, Ix3>, Error> {
         let batch = self.batch(name, expected, array.shape())?;
         contiguous(name, array, (batch, self.points(), self.lanes))
     }
 
     /// `weight` as `(bins, lanes, 2)`, with the lanes of a tile on an axis of their own.
-    pub(crate) fn bins<'a, T>(
+    pub(crate) fn bins<S: RawData>(
         &self,
         name: &'static str,
-        weight: ArrayViewD<'a, T>,
-    ) -> Result<ArrayView3<'a, T>, Error> {
-        let dim = self.bins_dim(name, weight.shape())?;
-        contiguous(name, weight, dim)
-    }
-
-    /// As [`Shape::bins`], to be written.
-    pub(crate) fn bins_mut<'a, T>(
-        &self,
-        name: &'static str,
-        weight: ArrayViewMutD<'a, T>,
-    ) -> Result<ArrayViewMut3<'a, T>, Error> {
+        weight: ArrayBase<S, IxDyn>,
+    ) -> Result<ArrayBase<S, Ix3>, Error> {
         let dim = self.bins_dim(name, weight.shape())?;
         contiguous(name, weight, dim)
     }
@@ -162,8 +144,7 @@ impl Shape {
     /// A spectrum with scratch takes a few times the plane; the bound leaves room for it.
     fn check_size(&self) -> Result<(), Error> {
         const MOST: usize = isize::MAX as usize / 256;
-        let Self { rows, columns, lanes, layout } = *self;
-        let lanes = if layout == Layout::Grid { lanes } else { 1 };
+        let (rows, columns, lanes) = (self.rows, self.columns, self.channels());
         [columns / 2 + 1, lanes.max(1), 2]
             .iter()
             .try_fold(rows.max(1), |size, n| size.checked_mul(*n))

@@ -25,8 +25,7 @@ impl<T: Real> Plan<T> {
     /// where half of every vector would be empty, by squares of vectors; what is left goes along memory.
     pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let Shape { layout, rows, columns, lanes } = shape;
-        let in_a_row = if layout == Layout::Grid { lanes } else { 1 };
-        let along = || Self::Along(Planes::new(shape, Along::new(shape, in_a_row)));
+        let along = || Self::Along(Planes::new(shape, Along::new(shape)));
         if !isa.has_vectors::<T>() {
             return along();
         }
@@ -43,7 +42,7 @@ impl<T: Real> Plan<T> {
                 }
             }
         }
-        match Across::new(isa, shape, in_a_row) {
+        match Across::new(isa, shape) {
             Some(across) => Self::Across(Planes::new(shape, across)),
             None => along(),
         }

@@ -3,9 +3,8 @@
 //! Kernels compute in `f32` and `f64`. A result in half precision is rounded once, to nearest and ties to even.
 
 use bytemuck::{Pod, Zeroable};
-use ndarray::ArrayViewMut2;
 
-use super::{Element, Vector};
+use super::{Algorithm, Element, Vector};
 
 /// bfloat16: the upper half of an `f32`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,18 +16,14 @@ pub struct Bf16(pub u16);
 #[repr(transparent)]
 pub struct F16(pub u16);
 
-macro_rules! plain_old_data {
-    ($($half:ty),*) => {
-        $(
-            // SAFETY: it is a `u16`, in which all bits zero are a value.
-            unsafe impl Zeroable for $half {}
-            // SAFETY: it is a `u16`: any bits are a value, there is no padding and no pointer.
-            unsafe impl Pod for $half {}
-        )*
-    };
-}
-
-plain_old_data!(Bf16, F16);
+// SAFETY: it is a `u16`, in which all bits zero are a value.
+unsafe impl Zeroable for Bf16 {}
+// SAFETY: it is a `u16`: any bits are a value, there is no padding and no pointer.
+unsafe impl Pod for Bf16 {}
+// SAFETY: as above.
+unsafe impl Zeroable for F16 {}
+// SAFETY: as above.
+unsafe impl Pod for F16 {}
 
 /// An element in memory that vectors are loaded from: that of the vectors, or one of half their precision.
 pub trait Stored: Pod + Send + Sync {
@@ -43,11 +38,6 @@ pub trait Stored: Pod + Send + Sync {
 
     /// The value of this type nearest to `value`, the even one of two that are as near.
     fn nearest_to(value: Self::Real) -> Self;
-
-    /// `view` as one of `Real`, or unchanged as an error where `Self` is another type.
-    fn as_real(
-        view: ArrayViewMut2<'_, Self>,
-    ) -> Result<ArrayViewMut2<'_, Self::Real>, ArrayViewMut2<'_, Self>>;
 
     /// # Safety
     /// `LANES` elements are readable at `from`.
@@ -96,12 +86,6 @@ macro_rules! stored_as_it_is {
                 value
             }
 
-            fn as_real(
-                view: ArrayViewMut2<'_, Self>,
-            ) -> Result<ArrayViewMut2<'_, Self>, ArrayViewMut2<'_, Self>> {
-                Ok(view)
-            }
-
             moved_by!(load, store);
         }
     };
@@ -124,12 +108,6 @@ impl Stored for Bf16 {
         let rounded = bits.wrapping_add(0x7fff + (bits >> 16 & 1));
         // rounding could carry a NaN over to infinity
         Self(upper_half(if value.is_nan() { f32::NAN.to_bits() } else { rounded }))
-    }
-
-    fn as_real(
-        view: ArrayViewMut2<'_, Self>,
-    ) -> Result<ArrayViewMut2<'_, f32>, ArrayViewMut2<'_, Self>> {
-        Err(view)
     }
 
     moved_by!(load_bf16, store_bf16);
@@ -170,12 +148,6 @@ impl Stored for F16 {
         Self(upper_half(rounded | bits & 0x8000_0000))
     }
 
-    fn as_real(
-        view: ArrayViewMut2<'_, Self>,
-    ) -> Result<ArrayViewMut2<'_, f32>, ArrayViewMut2<'_, Self>> {
-        Err(view)
-    }
-
     moved_by!(load_f16, store_f16);
 }
 
@@ -185,31 +157,41 @@ fn upper_half(bits: u32) -> u16 {
     (bits >> 16) as u16
 }
 
-/// `from` as elements of vectors.
-#[inline(always)]
-pub(crate) fn widen<V: Vector, H: Stored<Real = V::Element>>(from: &[H], to: &mut [V::Element]) {
-    assert_eq!(from.len(), to.len());
-    let whole = from.len() - from.len() % V::LANES;
-    for first in (0..whole).step_by(V::LANES) {
-        // SAFETY: `LANES` elements follow in both, which are as long (checked above).
-        unsafe { H::load::<V>(from.as_ptr().add(first)).store(to.as_mut_ptr().add(first)) };
-    }
-    for (from, to) in from[whole..].iter().zip(&mut to[whole..]) {
-        *to = from.widened();
+/// Elements as those of vectors, as many.
+pub(crate) struct Widen<'a, H: Stored>(pub(crate) &'a [H], pub(crate) &'a mut [H::Real]);
+
+impl<H: Stored> Algorithm<H::Real> for Widen<'_, H> {
+    #[inline(always)]
+    fn run<V: Vector<Element = H::Real>>(self) {
+        let Self(from, to) = self;
+        assert_eq!(from.len(), to.len());
+        let whole = from.len() - from.len() % V::LANES;
+        for first in (0..whole).step_by(V::LANES) {
+            // SAFETY: `LANES` elements follow in both, which are as long (checked above).
+            unsafe { H::load::<V>(from.as_ptr().add(first)).store(to.as_mut_ptr().add(first)) };
+        }
+        for (from, to) in from[whole..].iter().zip(&mut to[whole..]) {
+            *to = from.widened();
+        }
     }
 }
 
-/// Elements of vectors, rounded.
-#[inline(always)]
-pub(crate) fn narrow<V: Vector, H: Stored<Real = V::Element>>(from: &[V::Element], to: &mut [H]) {
-    assert_eq!(from.len(), to.len());
-    let whole = from.len() - from.len() % V::LANES;
-    for first in (0..whole).step_by(V::LANES) {
-        // SAFETY: `LANES` elements follow in both, which are as long (checked above).
-        unsafe { H::store(V::load(from.as_ptr().add(first)), to.as_mut_ptr().add(first)) };
-    }
-    for (&from, to) in from[whole..].iter().zip(&mut to[whole..]) {
-        *to = H::nearest_to(from);
+/// Elements of vectors, rounded, as many.
+pub(crate) struct Narrow<'a, H: Stored>(pub(crate) &'a [H::Real], pub(crate) &'a mut [H]);
+
+impl<H: Stored> Algorithm<H::Real> for Narrow<'_, H> {
+    #[inline(always)]
+    fn run<V: Vector<Element = H::Real>>(self) {
+        let Self(from, to) = self;
+        assert_eq!(from.len(), to.len());
+        let whole = from.len() - from.len() % V::LANES;
+        for first in (0..whole).step_by(V::LANES) {
+            // SAFETY: `LANES` elements follow in both, which are as long (checked above).
+            unsafe { H::store(V::load(from.as_ptr().add(first)), to.as_mut_ptr().add(first)) };
+        }
+        for (&from, to) in from[whole..].iter().zip(&mut to[whole..]) {
+            *to = H::nearest_to(from);
+        }
     }
 }
 
@@ -218,7 +200,6 @@ pub(crate) fn narrow<V: Vector, H: Stored<Real = V::Element>>(from: &[V::Element
 mod tests {
     use super::*;
     use crate::Isa;
-    use crate::simd::Algorithm;
 
     /// The value of a half by its definition: sign, exponent and fraction of so many bits.
     fn by_definition(bits: u16, exponent_bits: u32, fraction_bits: u32) -> f64 {
@@ -263,24 +244,6 @@ mod tests {
             assert_eq!(H::nearest_to(middle.next_down()), below, "{bits}");
             assert_eq!(H::nearest_to(middle.next_up()), above, "{bits}");
             assert_eq!(H::nearest_to(-middle.next_up()).widened(), -above.widened(), "{bits}");
-        }
-    }
-
-    struct Widen<'a, H>(&'a [H], &'a mut [f32]);
-
-    impl<H: Stored<Real = f32>> Algorithm<f32> for Widen<'_, H> {
-        #[inline(always)]
-        fn run<V: Vector<Element = f32>>(self) {
-            widen::<V, H>(self.0, self.1);
-        }
-    }
-
-    struct Narrow<'a, H>(&'a [f32], &'a mut [H]);
-
-    impl<H: Stored<Real = f32>> Algorithm<f32> for Narrow<'_, H> {
-        #[inline(always)]
-        fn run<V: Vector<Element = f32>>(self) {
-            narrow::<V, H>(self.0, self.1);
         }
     }
 

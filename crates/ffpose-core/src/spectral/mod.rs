@@ -18,7 +18,7 @@ use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Dimension};
 use self::batch::{Batch, Images, Weight};
 use crate::fft::{Plan, Planned};
 use crate::kernel::{Single, SingleBackward};
-use crate::number::Number;
+use crate::number::{self, Number};
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
 use crate::tuning::Tuning;
@@ -120,7 +120,7 @@ impl<T: Planned> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let dim = images.raw_dim();
-        let images = self.shape.images_mut("x", dim.slice(), images)?;
+        let images = self.shape.images("x", dim.slice(), images)?;
         self.run_forward(None, images, weight, pool, scratch)
     }
 
@@ -146,7 +146,7 @@ impl<T: Planned> SpectralFilter<T> {
         let needs = if x.is_some() { batch.needs(shared) } else { batch.needs_in_place(shared) };
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (packed, wide_weight) = shared.split_at_mut(packed_len);
-        let weight = W::read(self.isa, weight, wide_weight);
+        let weight = number::read(self.isa, weight, wide_weight);
         let Some(single) = single else {
             batch.forward((x, y), Weight::Natural(weight), packed, &mut workers);
             return Ok(());
@@ -213,7 +213,7 @@ impl<T: Planned> SpectralFilter<T> {
     ) -> Result<(ArrayView3<'a, X>, ArrayViewMut3<'a, X>), Error> {
         let dim = x.raw_dim();
         let x = self.shape.images("x", dim.slice(), x)?;
-        Ok((x, self.shape.images_mut("y", dim.slice(), y)?))
+        Ok((x, self.shape.images("y", dim.slice(), y)?))
     }
 
     /// Checks the arguments of a backward pass.
@@ -230,8 +230,8 @@ impl<T: Planned> SpectralFilter<T> {
             x: shape.images("x", like_x, x)?,
             grad: shape.images("grad", like_x, grad)?,
             weight: shape.bins("weight", weight)?,
-            grad_x: gradients.x.map(|g| shape.images_mut("grad_x", like_x, g)).transpose()?,
-            grad_weight: gradients.weight.map(|g| shape.bins_mut("grad_weight", g)).transpose()?,
+            grad_x: gradients.x.map(|g| shape.images("grad_x", like_x, g)).transpose()?,
+            grad_weight: gradients.weight.map(|g| shape.bins("grad_weight", g)).transpose()?,
         })
     }
 
@@ -250,10 +250,10 @@ impl<T: Planned> SpectralFilter<T> {
         let (packed, shared) = shared.split_at_mut(lens[0]);
         let (sums, wide_weight) = shared.split_at_mut(lens[1]);
         let images = Images { grad, x, grad_x };
-        let weight = Weight::Natural(W::read(self.isa, weight, wide_weight));
+        let weight = Weight::Natural(number::read(self.isa, weight, wide_weight));
         batch.backward(images, weight, packed, summed.then_some(&mut *sums), &mut workers);
         if let Some(grad_weight) = grad_weight {
-            W::write(self.isa, grad_weight, wide_weight, |grad_weight| {
+            number::write(self.isa, grad_weight, wide_weight, |grad_weight| {
                 batch.finish(sums, grad_weight, &mut workers);
             });
         }
@@ -273,7 +273,7 @@ impl<T: Planned> SpectralFilter<T> {
         let bins_len = widened_len::<W>(weight.len());
         let (mut workers, shared) = scratch.lend(pool, batch.needs(2 * bins_len))?;
         let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);
-        let weight = W::read(self.isa, weight, wide_weight);
+        let weight = number::read(self.isa, weight, wide_weight);
         let tiling = batch.tiling;
         let run = |grad_weight: Option<ArrayViewMut3<'_, T>>| {
             let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
@@ -291,7 +291,7 @@ impl<T: Planned> SpectralFilter<T> {
             });
         };
         match grad_weight {
-            Some(grad) => W::write(self.isa, grad, wide_grad_weight, |grad| run(Some(grad))),
+            Some(grad) => number::write(self.isa, grad, wide_grad_weight, |grad| run(Some(grad))),
             None => run(None),
         }
         Ok(())

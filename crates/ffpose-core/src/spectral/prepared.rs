@@ -3,13 +3,12 @@
 use ndarray::{ArrayViewD, ArrayViewMutD};
 
 use super::batch::{Batch, Weight};
-use super::tiling::Tiling;
 use super::{SpectralFilter, widened_len};
 use crate::fft::Planned;
 use crate::kernel::Factor;
-use crate::number::Number;
+use crate::number::{self, Number};
 use crate::parallel::{Pool, StdThreads};
-use crate::scratch::{Needs, Scratch};
+use crate::scratch::Scratch;
 use crate::simd::Aligned;
 use crate::{Error, Real};
 
@@ -34,30 +33,19 @@ impl<T: Planned> SpectralFilter<T> {
         let Some(plan) = self.plan.as_deref() else {
             return Ok(Prepared { filter, weight: Aligned::new(0)? });
         };
-        let (kernel, packing) = (T::kernel(plan), T::kernel(plan).packing());
-        let granule = kernel.narrowest_tile();
+        let (kernel, granule, pool) =
+            (W::kernel_of(plan), T::kernel(plan).narrowest_tile(), StdThreads(1));
+        let packing = kernel.packing();
         let len = packing.map_or(weight.len(), |packing| packing.offset(granule, self.shape.lanes));
         let mut prepared = Aligned::new(len)?;
-        let shared = widened_len::<W>(weight.len());
-        let needs = Needs { workers: 1, members: 1, kernel: kernel.scratch_len(), shared };
+        let batch = Batch::new(self.shape, kernel, granule, (1, false), &pool, self.tuning);
         let mut scratch = Scratch::default();
-        let (mut workers, wide) = scratch.lend(&StdThreads(1), needs)?;
-        let weight = W::read(self.isa, weight, wide);
-        let Some(packing) = packing else {
-            prepared.numbers_mut().iter_mut().zip(&weight).for_each(|(to, from)| *to = *from);
-            return Ok(Prepared { filter, weight: prepared });
-        };
-        let tiling = Tiling::new(self.shape, kernel.tile(), 1, 1);
-        for tile in 0..tiling.tiles() {
-            let lanes = tiling.lanes_of(tile);
-            let packed = &mut prepared.numbers_mut()[packing.offset(granule, lanes.start)..];
-            let packed = &mut packed[..packing.packed_len(lanes.len())];
-            packing.pack(
-                tiling.bins(weight, tile),
-                Factor::Weight,
-                packed,
-                &mut workers.together(),
-            );
+        let (mut workers, wide) =
+            scratch.lend(&pool, batch.needs(widened_len::<W>(weight.len())))?;
+        let (weight, numbers) = (number::read(self.isa, weight, wide), prepared.numbers_mut());
+        match packing {
+            Some(packing) => batch.pack(packing, (weight, Factor::Weight), numbers, &mut workers),
+            None => numbers.iter_mut().zip(weight).for_each(|(to, from)| *to = *from),
         }
         Ok(Prepared { filter, weight: prepared })
     }

@@ -62,11 +62,7 @@ impl<T: Element> Batched<T> {
             1 => Inner::Sequence(Sequence::new(isa, shape.columns)),
             _ => Inner::Grid(Grid::new(isa, whole, tuning)),
         };
-        let channels = match shape.layout {
-            Layout::Grid => shape.lanes,
-            Layout::Tokens => 1,
-        };
-        Self { inner, shape, points: whole.points(), channels, lanes }
+        Self { inner, shape, points: whole.points(), channels: shape.channels(), lanes }
     }
 
     fn inner<X: Stored<Real = T>>(&self) -> &dyn Kernel<X> {
@@ -190,10 +186,6 @@ impl<X: Stored> Kernel<X> for Batched<X::Real> {
 
     fn packing(&self) -> Option<&dyn Packing<X::Real>> {
         Some(self)
-    }
-
-    fn sum_len(&self, lanes: usize) -> usize {
-        self.packed_len(lanes)
     }
 
     fn forward(

@@ -5,7 +5,7 @@
 
 use super::roots::Roots;
 use super::unroll::unroll;
-use crate::simd::{Complex, Element, Vector, mirrored};
+use crate::simd::{Complex, Element, Vector, mirrored, parts};
 
 /// Where the codelets live: `Codelet: Dft<N>` for every length `N` that has one.
 pub(crate) struct Codelet;
@@ -108,34 +108,16 @@ fn odd<V: Vector, const N: usize, const END: usize>(x: [Complex<V>; N]) -> [Comp
     });
     // real parts of all outputs, then imaginary ones: either half is as many numbers as fit in registers
     unroll!(k in 1..END {
-        let even = plus_cosines::<V, N, END>(k, x[0].re, re(sum));
-        out[k].re = plus_sines::<V, N, END>(k, even, im(difference));
+        let even = plus_cosines::<V, N, END>(k, x[0].re, parts(sum).0);
+        out[k].re = plus_sines::<V, N, END>(k, even, parts(difference).1);
         out[N - k].re = mirrored(even, out[k].re);
     });
     unroll!(k in 1..END {
-        let even = plus_cosines::<V, N, END>(k, x[0].im, im(sum));
-        out[N - k].im = plus_sines::<V, N, END>(k, even, re(difference));
+        let even = plus_cosines::<V, N, END>(k, x[0].im, parts(sum).1);
+        out[N - k].im = plus_sines::<V, N, END>(k, even, parts(difference).0);
         out[k].im = mirrored(even, out[N - k].im);
     });
     out
-}
-
-#[inline(always)]
-fn re<V: Vector, const N: usize>(z: [Complex<V>; N]) -> [V; N] {
-    let mut parts = [z[0].re; N];
-    for n in 0..N {
-        parts[n] = z[n].re;
-    }
-    parts
-}
-
-#[inline(always)]
-fn im<V: Vector, const N: usize>(z: [Complex<V>; N]) -> [V; N] {
-    let mut parts = [z[0].im; N];
-    for n in 0..N {
-        parts[n] = z[n].im;
-    }
-    parts
 }
 
 /// `start + Σ_j a[j] cos(2π j k / N)` for `0 < j < END`

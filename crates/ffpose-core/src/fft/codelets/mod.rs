@@ -14,6 +14,6 @@ pub(crate) use dft::{Codelet, Dft};
 pub(crate) use lengths::{has_codelet, with_codelet};
 pub(crate) use real_dft::{RealDft, TwoReal};
 pub(crate) use real_line::RealLine;
-pub(crate) use roots::root;
+pub(crate) use roots::{root, twiddle};
 pub(crate) use turned_dft::TurnedDft;
 pub(crate) use unroll::unroll;

@@ -2,6 +2,8 @@
 
 use std::f64::consts::PI;
 
+use crate::simd::{Complex, Element};
+
 /// `(cos, sin)` of `2π k / n`, exact at multiples of an eighth of a turn up to rounding.
 ///
 /// The angle is brought to an eighth of a turn with integers; there the two Taylor series are exact in float64.
@@ -51,6 +53,12 @@ impl<const N: usize> Roots<N> {
         }
         table
     };
+}
+
+/// `exp(-2πi k / n)`.
+pub(crate) fn twiddle<T: Element>(k: usize, n: usize) -> Complex<T> {
+    let (c, s) = root(k, n);
+    Complex::new(T::nearest(c), T::nearest(-s))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use super::pointwise::Pointwise;
 use super::{Geometry, Through, pair_step};
 use crate::fft::codelets::{Codelet, Dft, has_codelet, with_codelet};
 use crate::fft::transform::Transform;
-use crate::fft::transform::mixed_radix::{Digits, Pass, forward, inverse};
+use crate::fft::transform::mixed_radix::{Digits, Pass, butterflies};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
 
 /// A length `P Q` as two passes known at compile time; `P` may be 1.
@@ -54,19 +54,11 @@ where
         Digits { outer: 1, middle: 1, inner: Q }
     };
 
-    /// The first pass forward.
+    /// The first pass forward, or the last one back.
     #[inline(always)]
-    fn enter<V: Vector<Element = T>>(&self, line: &mut [Complex<V>]) {
+    fn outer<V: Vector<Element = T>, const BACK: bool>(&self, line: &mut [Complex<V>]) {
         if P > 1 {
-            forward::<V, P>(line, Self::DIGITS, self.passes[0].twiddles());
-        }
-    }
-
-    /// The last pass back.
-    #[inline(always)]
-    fn leave<V: Vector<Element = T>>(&self, line: &mut [Complex<V>]) {
-        if P > 1 {
-            inverse::<V, P>(line, Self::DIGITS, self.passes[0].twiddles());
+            butterflies::<V, P, BACK>(line, Self::DIGITS, self.passes[0].twiddles());
         }
     }
 }
@@ -84,7 +76,7 @@ where
         for (column, vector) in geometry.lines(spectrum.len() / pitch) {
             let at = geometry.at(column, vector);
             let line = &mut spectrum[at.position..][..pitch];
-            self.enter(line);
+            self.outer::<V, false>(line);
             if geometry.is_pair(column) {
                 for start in (0..P * Q).step_by(Q) {
                     scatter(line, start, 1, <Codelet as Dft<Q>>::dft(gather(line, start, 1)));
@@ -104,7 +96,7 @@ where
                 }
             }
             if INVERSE {
-                self.leave(line);
+                self.outer::<V, true>(line);
             }
         }
     }

@@ -12,11 +12,11 @@ use crate::tuning::PLACES_AHEAD;
 /// Where the places of kernel order come from.
 pub(crate) struct BinOrder<T> {
     /// Places of the first column: the bin and its mirror.
-    hermitian: Vec<(usize, usize)>,
+    pub(crate) hermitian: Vec<(usize, usize)>,
     /// Places of all others: the bin, and whether it is conjugated.
-    plain: Vec<(usize, bool)>,
-    weight: Scales<T>,
-    gradient: Scales<T>,
+    pub(crate) others: Vec<(usize, bool)>,
+    pub(crate) weight: Scales<T>,
+    pub(crate) gradient: Scales<T>,
 }
 
 /// What bins are multiplied by.
@@ -52,22 +52,13 @@ impl Bins {
 }
 
 impl<T: Element> BinOrder<T> {
-    pub(crate) fn new(
-        hermitian: Vec<(usize, usize)>,
-        plain: Vec<(usize, bool)>,
-        weight: Scales<T>,
-        gradient: Scales<T>,
-    ) -> Self {
-        Self { hermitian, plain, weight, gradient }
-    }
-
     /// Numbers in a packed weight of one vector of lanes.
     fn packed_len(&self, lanes: usize) -> usize {
         2 * lanes * self.places()
     }
 
     fn places(&self) -> usize {
-        self.hermitian.len() + self.plain.len()
+        self.hermitian.len() + self.others.len()
     }
 
     /// Gives `each`, in turn, the factor at `R` places of one column, `first` and following, from a weight in natural order.
@@ -82,7 +73,7 @@ impl<T: Element> BinOrder<T> {
         let conjugate = factor == Factor::Conjugate;
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
-            let places = &self.plain[first..first + R];
+            let places = &self.others[first..first + R];
             let im_scale = if places[0].1 == conjugate { scale } else { -scale };
             for i in 0..R {
                 let z = weight.complex::<V>(places[i].0);
@@ -104,7 +95,7 @@ impl<T: Element> BinOrder<T> {
     /// guesses them.
     #[inline(always)]
     pub(crate) fn prefetch<V: Vector<Element = T>>(&self, weight: Tile<'_, T>, place: usize) {
-        if let Some(&(bin, _)) = self.plain.get(place.wrapping_sub(self.hermitian.len())) {
+        if let Some(&(bin, _)) = self.others.get(place.wrapping_sub(self.hermitian.len())) {
             weight.prefetch_complex::<V>(bin);
         }
     }
@@ -119,7 +110,7 @@ impl<T: Element> BinOrder<T> {
     ) {
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.gradient.plain);
-            let places = &self.plain[first..first + R];
+            let places = &self.others[first..first + R];
             let im_scale = if places[0].1 { -scale } else { scale };
             for i in 0..R {
                 let z = Complex::new(sums[i].re * scale, sums[i].im * im_scale);

@@ -79,21 +79,16 @@ impl<T: Element> Grid<T> {
         } else {
             frequencies.iter().map(|&u| bins.with_mirror(u, 0)).collect()
         };
-        let plain = row_frequencies[1..]
+        let others = row_frequencies[1..]
             .iter()
             .flat_map(|&v| frequencies.iter().map(move |&u| bins.of(u, v)))
             .collect();
         let norm = 1.0 / (height * width) as f64;
         let gain = rows.gain();
         let first_gain = if even { 2.0 * gain } else { gain }; // `split` doubles
-        let weight = Scales {
-            hermitian: T::nearest(norm / first_gain / 2.0),
-            plain: T::nearest(norm / gain * rows.inverse_gain()),
-        };
-        let gradient = Scales {
-            hermitian: T::nearest(norm / (first_gain * first_gain)),
-            plain: T::nearest(2.0 * norm / (gain * gain)),
-        };
+        let plain = T::nearest(2.0 * norm / (gain * gain));
+        let weight = Scales { hermitian: T::nearest(norm / first_gain / 2.0), plain };
+        let gradient = Scales { hermitian: T::nearest(norm / (first_gain * first_gain)), plain };
         let lanes = isa.lanes::<T>();
         let bytes = columns.packed_len() * size_of::<T>() / lanes;
         let tile = tile::<T>(shape.lanes, tuning.l2_cache / tuning.packed_share / bytes, tuning);
@@ -117,7 +112,7 @@ impl<T: Element> Grid<T> {
             padded_bins: if is_whole { 0 } else { 2 * lanes * shape.bins_len() },
             rows,
             columns,
-            order: BinOrder::new(hermitian, plain, weight, gradient),
+            order: BinOrder { hermitian, others, weight, gradient },
         }
     }
 
@@ -256,10 +251,6 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         Some(self)
     }
 
-    fn sum_len(&self, lanes: usize) -> usize {
-        self.packed_len(lanes)
-    }
-
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
@@ -305,11 +296,21 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
 
     fn unpack_gradient(
         &self,
-        grad_sum: &[X::Real],
-        grad_weight: ArrayViewMut3<'_, X::Real>,
+        mut grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
         team: &mut Team<'_, X::Real>,
     ) {
-        self.unpack(grad_sum, grad_weight, team);
+        for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
+            let part = grad_sum.split_off(..self.packed_len(lanes.len())).expect("all lanes");
+            let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
+            if lanes.len().is_multiple_of(self.lanes) {
+                self.order.unpack(self.isa, part, gradient);
+            } else {
+                let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
+                self.order.unpack(self.isa, part, whole.view_mut());
+                gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
+            }
+        }
     }
 
     fn single(&self) -> Option<&dyn Single<X>> {

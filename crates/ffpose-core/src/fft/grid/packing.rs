@@ -1,4 +1,4 @@
-//! The weight of a grid to kernel order, and the sum of its gradient back.
+//! The weight of a grid to kernel order.
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, s};
 
@@ -8,27 +8,6 @@ use crate::parallel::Team;
 use crate::simd::Element;
 
 impl<T: Element> Grid<T> {
-    /// As [`crate::kernel::Kernel::unpack_gradient`].
-    pub(super) fn unpack(
-        &self,
-        mut grad_sum: &[T],
-        mut grad_weight: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
-    ) {
-        for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
-            let part;
-            (part, grad_sum) = grad_sum.split_at(self.packed_len(lanes.len()));
-            let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.order.unpack(self.isa, part, gradient);
-            } else {
-                let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
-                self.order.unpack(self.isa, part, whole.view_mut());
-                gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
-            }
-        }
-    }
-
     /// `room` as a weight `(bins, lanes, 2)` of one vector of lanes.
     pub(super) fn bins<'a>(&self, room: &'a mut [T]) -> ArrayViewMut3<'a, T> {
         let bins = room.len() / (2 * self.lanes);
@@ -57,13 +36,11 @@ impl<T: Element> Packing<T> for Grid<T> {
         &self,
         weight: ArrayView3<'_, T>,
         factor: Factor,
-        packed: &mut [T],
+        mut packed: &mut [T],
         team: &mut Team<'_, T>,
     ) {
-        let mut packed = &mut packed[..];
         for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
-            let part;
-            (part, packed) = packed.split_at_mut(self.packed_len(lanes.len()));
+            let part = packed.split_off_mut(..self.packed_len(lanes.len())).expect("all lanes");
             let weight = weight.slice(s![.., lanes.clone(), ..]);
             if lanes.len().is_multiple_of(self.lanes) {
                 self.order.pack(self.isa, weight, factor, part);

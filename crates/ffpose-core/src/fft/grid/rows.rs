@@ -47,14 +47,6 @@ impl<T: Element> Rows<T> {
         }
     }
 
-    /// What columns after the first have to be multiplied by for the way back.
-    pub(crate) fn inverse_gain(&self) -> f64 {
-        match self {
-            Self::Codelet(_) => 2.0,
-            Self::Pairs(_) => 1.0,
-        }
-    }
-
     /// Complex vectors of scratch that a run needs.
     pub(crate) fn work_len(&self) -> usize {
         match self {
@@ -77,8 +69,8 @@ impl<T: Element> Rows<T> {
                 (P, Q, ROWS) => isa.run(RowsForward::<X, P, Q, ROWS> { image, place, spectrum, work }),
                 _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
-                let (outputs, width, lanes) =
-                    (transform.outputs(), transform.len(), isa.lanes::<T>());
+                let (inputs, outputs) = (transform.inputs(), transform.outputs());
+                let (width, lanes) = (transform.len(), isa.lanes::<T>());
                 let (line, work) = work.split_at_mut(2 * lanes * width);
                 for (pair, places) in place.positions.chunks(2).enumerate() {
                     let first = 2 * pair * width;
@@ -92,13 +84,7 @@ impl<T: Element> Rows<T> {
                             image.prefetch_share(ahead, 2 * width, i, vectors);
                         }
                         let image = image.skip_lanes(i * lanes);
-                        isa.run(EnterPair {
-                            inputs: transform.inputs(),
-                            image,
-                            first,
-                            second,
-                            line,
-                        });
+                        isa.run(EnterPair { inputs, image, first, second, line });
                         transform.forward(line, work);
                         isa.run(SplitPair { outputs, line, spectrum, pitch: place.pitch, places });
                     }
@@ -121,8 +107,8 @@ impl<T: Element> Rows<T> {
                 (P, Q, ROWS) => isa.run(RowsInverse::<X, P, Q, ROWS> { image, place, spectrum, work }),
                 _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
-                let (outputs, width, lanes) =
-                    (transform.outputs(), transform.len(), isa.lanes::<T>());
+                let (inputs, outputs) = (transform.inputs(), transform.outputs());
+                let (width, lanes) = (transform.len(), isa.lanes::<T>());
                 let (line, work) = work.split_at_mut(2 * lanes * width);
                 for (pair, places) in place.positions.chunks(2).enumerate() {
                     let first = 2 * pair * width;
@@ -138,13 +124,7 @@ impl<T: Element> Rows<T> {
                         let image = &mut image.skip_lanes(i * lanes);
                         isa.run(JoinPair { outputs, line, spectrum, pitch: place.pitch, places });
                         transform.inverse(line, work);
-                        isa.run(LeavePair {
-                            inputs: transform.inputs(),
-                            image,
-                            first,
-                            second,
-                            line,
-                        });
+                        isa.run(LeavePair { inputs, image, first, second, line });
                     }
                 }
             }

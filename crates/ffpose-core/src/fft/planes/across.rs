@@ -35,10 +35,10 @@ pub(crate) struct Across<T> {
 }
 
 impl<T: Real> Across<T> {
-    /// The plan for a shape of so many lanes, unless its rows are shorter than a vector, its columns than half of one, or either are
+    /// The plan for a shape, unless its rows are shorter than a vector, its columns than half of one, or either are
     /// too long for a cache.
-    pub(crate) fn new(isa: Isa, shape: Shape, lanes: usize) -> Option<Self> {
-        let Shape { rows, columns: width, .. } = shape;
+    pub(crate) fn new(isa: Isa, shape: Shape) -> Option<Self> {
+        let (Shape { rows, columns: width, .. }, lanes) = (shape, shape.channels());
         let vector = isa.lanes::<T>();
         let is_long =
             rows.max(width * lanes).saturating_mul(2 * vector * size_of::<T>()) > LONGEST_LINE;
@@ -70,7 +70,7 @@ impl<T: Real> Across<T> {
     }
 
     /// Groups of all lanes.
-    fn columns(&self) -> usize {
+    fn columns_len(&self) -> usize {
         self.lanes * self.groups
     }
 
@@ -90,12 +90,12 @@ impl<T: Real> Across<T> {
 
     /// Numbers of the spectra of a band.
     fn band_len(&self) -> usize {
-        self.len_of(self.columns() * self.rows_each())
+        self.len_of(self.columns_len() * self.rows_each())
     }
 
     /// All columns of spectra, `(bands, numbers)`.
     fn columns_of<'a>(&self, spectra: &'a mut [T]) -> impl Iterator<Item = ArrayViewMut2<'a, T>> {
-        let dim = (self.bands(), self.columns(), self.len_of(self.rows_each()));
+        let dim = (self.bands(), self.columns_len(), self.len_of(self.rows_each()));
         let spectra = ArrayViewMut3::from_shape(dim, spectra).expect("the spectra of an image");
         chunks_mut(spectra, Axis(1), 1).map(|column| column.index_axis_move(Axis(1), 0))
     }
@@ -200,7 +200,7 @@ impl<T: Real> Spectra<T> for Across<T> {
         });
     }
 
-    fn columns(
+    fn filter_columns(
         &self,
         spectra: &mut [T],
         factor: Option<&[T]>,
@@ -208,7 +208,7 @@ impl<T: Real> Spectra<T> for Across<T> {
         team: &mut Team<'_, T>,
     ) {
         let (x, sum) = sum.map(|Sum { x, sum }| (x, sum)).unzip();
-        let (len, count) = (self.along_columns.packed_len(), self.columns());
+        let (len, count) = (self.along_columns.packed_len(), self.columns_len());
         let x = in_order(count, x.map(|x| self.columns_of(x)));
         let sums = in_order(count, sum.map(|sum| sum.chunks_exact_mut(len)));
         let columns = self.columns_of(spectra).zip(x).zip(sums).enumerate();

@@ -22,6 +22,10 @@ pub(crate) struct Along<T: Real> {
     rows: usize,
     width: usize,
     lanes: usize,
+    /// Complex numbers of the spectrum of a row.
+    half: usize,
+    /// Of that of a lane.
+    bins: usize,
     rows_forward: Arc<dyn RealToComplex<T>>,
     rows_inverse: Arc<dyn ComplexToReal<T>>,
     columns_forward: Arc<dyn Fft<T>>,
@@ -37,26 +41,19 @@ struct AlongBuffers<'a, T> {
 }
 
 impl<T: Real> Along<T> {
-    pub(crate) fn new(shape: Shape, lanes: usize) -> Self {
+    pub(crate) fn new(shape: Shape) -> Self {
         let (mut rows, mut columns) = (RealFftPlanner::new(), FftPlanner::new());
         Self {
             rows: shape.rows,
             width: shape.columns,
-            lanes,
+            lanes: shape.channels(),
+            half: shape.half(),
+            bins: shape.bins_len(),
             rows_forward: rows.plan_fft_forward(shape.columns),
             rows_inverse: rows.plan_fft_inverse(shape.columns),
             columns_forward: columns.plan_fft_forward(shape.rows),
             columns_inverse: columns.plan_fft_inverse(shape.rows),
         }
-    }
-
-    fn half(&self) -> usize {
-        self.width / 2 + 1
-    }
-
-    /// Complex numbers of the spectrum of a lane.
-    fn bins(&self) -> usize {
-        self.rows * self.half()
     }
 
     /// Scratch that the libraries ask for.
@@ -68,7 +65,7 @@ impl<T: Real> Along<T> {
     }
 
     fn buffers<'a>(&self, scratch: &'a mut [T]) -> AlongBuffers<'a, T> {
-        let (by_rows, rest) = scratch.split_at_mut(2 * self.lanes * self.bins());
+        let (by_rows, rest) = scratch.split_at_mut(2 * self.lanes * self.bins);
         let (inner, rest) = rest.split_at_mut(2 * self.inner_len());
         AlongBuffers {
             row: &mut rest[..self.lanes * self.width],
@@ -91,11 +88,11 @@ impl<T: Real> Along<T> {
 
 impl<T: Real> Spectra<T> for Along<T> {
     fn numbers(&self) -> usize {
-        2 * self.lanes * self.bins()
+        2 * self.lanes * self.bins
     }
 
     fn scratch_len(&self) -> usize {
-        2 * (self.lanes * self.bins() + self.inner_len()) + self.lanes * self.width
+        2 * (self.lanes * self.bins + self.inner_len()) + self.lanes * self.width
     }
 
     fn gain(&self) -> f64 {
@@ -106,7 +103,7 @@ impl<T: Real> Spectra<T> for Along<T> {
         let packed = packed.as_chunks_mut().0;
         for (v, lanes) in row.chunks_exact(self.lanes).enumerate() {
             for (lane, &[re, im]) in lanes.iter().enumerate() {
-                packed[lane * self.bins() + v * self.rows + u] = [re * norm[0], im * norm[1]];
+                packed[lane * self.bins + v * self.rows + u] = [re * norm[0], im * norm[1]];
             }
         }
     }
@@ -115,7 +112,7 @@ impl<T: Real> Spectra<T> for Along<T> {
         let sum = sum.as_chunks().0;
         for (v, lanes) in row.chunks_exact_mut(self.lanes).enumerate() {
             for (lane, to) in lanes.iter_mut().enumerate() {
-                *to = sum[lane * self.bins() + v * self.rows + u];
+                *to = sum[lane * self.bins + v * self.rows + u];
             }
         }
     }
@@ -135,16 +132,16 @@ impl<T: Real> Spectra<T> for Along<T> {
             let numbers = numbers.to_slice().expect("a row has no gaps");
             self.places().for_each(|(from, to)| row[to] = numbers[from].widened());
             for (lane, row) in row.chunks_exact_mut(self.width).enumerate() {
-                let to = &mut by_rows[lane * self.bins() + u * self.half()..][..self.half()];
+                let to = &mut by_rows[lane * self.bins + u * self.half..][..self.half];
                 self.rows_forward.process_with_scratch(row, to, inner).expect("planned lengths");
             }
         }
         let spectra: &mut [Complex<T>] = cast_slice_mut(spectra);
-        let lanes = by_rows.chunks_exact(self.bins()).zip(spectra.chunks_exact_mut(self.bins()));
-        lanes.for_each(|(by_rows, to)| transpose(by_rows, to, self.half(), self.rows));
+        let lanes = by_rows.chunks_exact(self.bins).zip(spectra.chunks_exact_mut(self.bins));
+        lanes.for_each(|(by_rows, to)| transpose(by_rows, to, self.half, self.rows));
     }
 
-    fn columns(
+    fn filter_columns(
         &self,
         spectra: &mut [T],
         factor: Option<&[T]>,
@@ -152,7 +149,7 @@ impl<T: Real> Spectra<T> for Along<T> {
         team: &mut Team<'_, T>,
     ) {
         let AlongBuffers { inner, .. } = self.buffers(team.scratch());
-        let len = 2 * self.bins();
+        let len = 2 * self.bins;
         let (x, sum) = sum.map(|Sum { x, sum }| (x, sum)).unzip();
         let x = in_order(self.lanes, x.map(|x| x.chunks_exact_mut(len)));
         let sums = in_order(self.lanes, sum.map(|sum| sum.chunks_exact_mut(len)));
@@ -187,11 +184,11 @@ impl<T: Real> Spectra<T> for Along<T> {
     ) {
         let AlongBuffers { row, by_rows, inner } = self.buffers(team.scratch());
         let spectra: &[Complex<T>] = cast_slice(spectra);
-        let lanes = spectra.chunks_exact(self.bins()).zip(by_rows.chunks_exact_mut(self.bins()));
-        lanes.for_each(|(from, by_rows)| transpose(from, by_rows, self.rows, self.half()));
+        let lanes = spectra.chunks_exact(self.bins).zip(by_rows.chunks_exact_mut(self.bins));
+        lanes.for_each(|(from, by_rows)| transpose(from, by_rows, self.rows, self.half));
         for (u, numbers) in image.outer_iter_mut().enumerate() {
             for (lane, row) in row.chunks_exact_mut(self.width).enumerate() {
-                let from = &mut by_rows[lane * self.bins() + u * self.half()..][..self.half()];
+                let from = &mut by_rows[lane * self.bins + u * self.half..][..self.half];
                 from[0].im = T::zero();
                 if self.width.is_multiple_of(2) {
                     from[self.width / 2].im = T::zero();

@@ -15,7 +15,7 @@ use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
 use crate::views::BATCH;
-use crate::{Layout, Real, Shape};
+use crate::{Real, Shape};
 
 /// The plan for images of one shape.
 pub(crate) struct Planes<P> {
@@ -54,7 +54,7 @@ pub(crate) trait Spectra<T: Real>: Send + Sync {
 
     /// Transforms the columns of spectra and, if there is a sum, of those of `x`, whose conjugate times the spectra it grows by.
     /// Multiplies by `factor`, if there is one, and transforms the columns back. What is left without one is of no account.
-    fn columns(
+    fn filter_columns(
         &self,
         spectra: &mut [T],
         factor: Option<&[T]>,
@@ -83,29 +83,21 @@ impl<P> Planes<P> {
         Self { shape, spectra }
     }
 
-    /// Lanes of an image, in a row one beside the other; tokens have one.
-    fn lanes(&self) -> usize {
-        match self.shape.layout {
-            Layout::Tokens => 1,
-            Layout::Grid => self.shape.lanes,
-        }
-    }
-
     /// An image `(points, lanes)` by rows.
     fn by_rows<'a, X>(&self, image: ArrayView2<'a, X>) -> ArrayView2<'a, X> {
-        let dim = (self.shape.rows, self.shape.columns * self.lanes());
+        let dim = (self.shape.rows, self.shape.columns * self.shape.channels());
         image.into_shape_with_order(dim).expect("an image has no gaps")
     }
 
     /// As [`by_rows`](Self::by_rows), to write.
     fn by_rows_mut<'a, X>(&self, image: ArrayViewMut2<'a, X>) -> ArrayViewMut2<'a, X> {
-        let dim = (self.shape.rows, self.shape.columns * self.lanes());
+        let dim = (self.shape.rows, self.shape.columns * self.shape.channels());
         image.into_shape_with_order(dim).expect("an image has no gaps")
     }
 
     /// Numbers of a row of a weight.
     fn weights_of_row(&self) -> usize {
-        self.shape.half() * self.lanes()
+        self.shape.half() * self.shape.channels()
     }
 
     /// Points of a plane.
@@ -147,10 +139,6 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         Some(self)
     }
 
-    fn sum_len(&self, _: usize) -> usize {
-        self.spectra.numbers()
-    }
-
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
@@ -162,7 +150,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         let spectra = &mut spectra[..self.spectra.numbers()];
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.spectra.enter(self.by_rows(x), spectra, &mut team);
-            self.spectra.columns(spectra, Some(packed), None, &mut team);
+            self.spectra.filter_columns(spectra, Some(packed), None, &mut team);
             self.spectra.leave(spectra, self.by_rows_mut(y), &mut team);
         }
     }
@@ -179,7 +167,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
                 Sum { x: &mut *of_x, sum: &mut sums[image / images_each * numbers..][..numbers] }
             });
             let factor = grad_x.is_some().then_some(weight);
-            self.spectra.columns(spectra, factor, sum, &mut team);
+            self.spectra.filter_columns(spectra, factor, sum, &mut team);
             if let Some(grad_x) = &mut grad_x {
                 let grad_x = grad_x.index_axis_mut(BATCH, image);
                 self.spectra.leave(spectra, self.by_rows_mut(grad_x), &mut team);
@@ -199,7 +187,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         let rows = grad_weight.as_chunks_mut().0.chunks_exact_mut(self.weights_of_row());
         for (u, row) in rows.enumerate() {
             self.spectra.unpack(u, grad_sum, row);
-            for (v, lanes) in row.chunks_exact_mut(self.lanes()).enumerate() {
+            for (v, lanes) in row.chunks_exact_mut(self.shape.channels()).enumerate() {
                 // columns of DC and Nyquist stand for themselves alone
                 let is_real = v == 0 || 2 * v == self.shape.columns;
                 let factor = factors[usize::from(!is_real)];

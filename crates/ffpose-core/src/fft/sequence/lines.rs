@@ -23,12 +23,13 @@ impl<T: Element> Lines<T> {
         let columns = Columns::new(isa, length, 1, First::Complex);
         let bins = Bins { rows: 1, columns: length };
         let frequencies = inverted(columns.transform().outputs());
-        let places = frequencies[1..].iter().map(|&k| bins.of(0, k));
+        let others = frequencies[1..].iter().map(|&k| bins.of(0, k)).collect();
         let norm = 1.0 / length as f64;
         let scales =
             |plain| Scales { hermitian: T::nearest(plain / 2.0), plain: T::nearest(plain) };
-        let ends = vec![bins.with_mirror(0, 0)];
-        let order = BinOrder::new(ends, places.collect(), scales(norm), scales(2.0 * norm));
+        let hermitian = vec![bins.with_mirror(0, 0)];
+        let (weight, gradient) = (scales(norm), scales(2.0 * norm));
+        let order = BinOrder { hermitian, others, weight, gradient };
         Self::Odd(isa, columns, order)
     }
 

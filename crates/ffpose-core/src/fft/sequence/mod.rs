@@ -167,10 +167,6 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         Some(self)
     }
 
-    fn sum_len(&self, lanes: usize) -> usize {
-        self.packed_len(lanes)
-    }
-
     fn forward(
         &self,
         x: ArrayView3<'_, X>,

@@ -1,5 +1,6 @@
 //! An image through all passes, forward and backward.
 
+use bytemuck::cast_slice_mut;
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
 use super::Tokens;
@@ -65,11 +66,14 @@ impl<'a, X: Stored> ImageSpectra<'a, X> {
         of_x: Option<ArrayViewMut2<'a, X::Real>>,
         room: &mut impl Iterator<Item = ArrayViewMut2<'a, X::Real>>,
     ) -> Self {
-        let mut room = || room.next().expect("room for each image");
-        match result.map(X::as_real) {
-            Some(Ok(spectrum)) => Self { spectrum, of_x, result: None },
-            Some(Err(result)) => Self { spectrum: room(), of_x, result: Some(result) },
-            None => Self { spectrum: room(), of_x, result: None },
+        match result {
+            Some(result) if !X::HALF => {
+                let dim = result.dim();
+                let numbers = cast_slice_mut(result.into_slice().expect("rows without gaps"));
+                let spectrum = ArrayViewMut2::from_shape(dim, numbers).expect("as many numbers");
+                Self { spectrum, of_x, result: None }
+            }
+            result => Self { spectrum: room.next().expect("room for each image"), of_x, result },
         }
     }
 }
@@ -102,7 +106,7 @@ impl<T: Element> Tokens<T> {
             );
             self.put(block, &mut rows, work);
         });
-        self.leave(ways, far, team);
+        self.last_pass(ways.into_iter().map(|way| (way.spectrum, way.result)), far, team);
     }
 
     /// The gradients of images, pass by pass all of them. The images of a part are taken in turn.
@@ -139,7 +143,8 @@ impl<T: Element> Tokens<T> {
             self.backward_step(step, images, inverse.then_some(weight), sum, scratch);
         });
         if inverse {
-            self.leave(ways.into_iter().flatten(), far, team);
+            let ways = ways.into_iter().flatten();
+            self.last_pass(ways.map(|way| (way.spectrum, way.result)), far, team);
         }
     }
 
@@ -187,20 +192,6 @@ impl<T: Element> Tokens<T> {
             of_steps.iter_mut().zip(rows).for_each(|(step, rows)| step.push(rows));
         }
         of_steps
-    }
-
-    /// Spectra to the results.
-    fn leave<'a, X: Stored<Real = T> + 'a>(
-        &self,
-        ways: impl IntoIterator<Item = ImageSpectra<'a, X>>,
-        far: bool,
-        team: &mut Team<'_, T>,
-    ) {
-        let (in_place, apart): (Vec<_>, Vec<_>) =
-            ways.into_iter().partition(|way| way.result.is_none());
-        self.last_pass(in_place.into_iter().map(|way| way.spectrum), far, team);
-        let apart = apart.into_iter().filter_map(|way| Some((way.spectrum, way.result?)));
-        self.last_pass_to(apart, far, team);
     }
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {

@@ -40,17 +40,17 @@ mod weight;
 
 use std::collections::VecDeque;
 
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
+use ndarray::{ArrayView3, ArrayViewMut3};
 
 use self::images::{BackwardImage, Context, SumPart};
 use self::steps::Step;
 use self::weight::TokenShape;
-use crate::fft::codelets::{has_codelet, root};
+use crate::fft::codelets::{has_codelet, twiddle};
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Aligned, Complex, Element, Isa, Stored, slack};
 use crate::tuning::Tuning;
-use crate::views::{BATCH, chunks_mut, in_order};
+use crate::views::{BATCH, in_order};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -90,11 +90,7 @@ impl<T: Element> Tokens<T> {
         let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
             (0..=factors[0] / 2).map(|u1| Step::new(shape, factors, u1, pairs_each, run)).collect();
-        let turns = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
-        let turns = turns.map(|n| {
-            let (c, s) = root(n, points);
-            Complex::new(T::nearest(c), T::nearest(-s))
-        });
+        let turns = (0..points).map(|i| twiddle((i / factors[0]) * (i % factors[0]), points));
         let rows_each = 2 * pairs_each;
         Some(Self {
             isa,
@@ -126,23 +122,15 @@ impl<T: Element> Tokens<T> {
     }
 
     /// The parts of a sum that belong to each step.
-    fn parts<'a>(&self, sum: &'a [T]) -> impl Iterator<Item = &'a [T]> {
-        let mut rest = sum;
-        self.steps.iter().map(move |step| {
-            let part;
-            (part, rest) = rest.split_at(self.sum_len_of(step));
-            part
-        })
+    fn parts<'a>(&self, mut sum: &'a [T]) -> impl Iterator<Item = &'a [T]> {
+        let steps = self.steps.iter();
+        steps.map(move |step| sum.split_off(..self.sum_len_of(step)).expect("room for each step"))
     }
 
     /// As [`parts`](Self::parts), to write.
-    fn parts_mut<'a>(&self, sum: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
-        let mut rest = sum;
-        self.steps.iter().map(move |step| {
-            let part;
-            (part, rest) = std::mem::take(&mut rest).split_at_mut(self.sum_len_of(step));
-            part
-        })
+    fn parts_mut<'a>(&self, mut sum: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
+        let lens = self.steps.iter().map(|step| self.sum_len_of(step));
+        lens.map(move |len| sum.split_off_mut(..len).expect("room for each step"))
     }
 }
 
@@ -169,14 +157,14 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         &self,
         x: ArrayView3<'_, X>,
         weight: &[X::Real],
-        y: ArrayViewMut3<'_, X>,
+        mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
         let members = team.members();
         let (spectra, mut team) = team.share(self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
-        let mut images = images_of(x).zip(images_of_mut(y)).peekable();
+        let mut images = x.outer_iter().zip(y.outer_iter_mut()).peekable();
         while images.peek().is_some() {
             let together: Vec<_> = images.by_ref().take(members).collect();
             let context = Context { spectra: &mut *spectra, far, team: &mut team };
@@ -185,15 +173,15 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, weight, grad_x, grad_sum, images_each } = pass;
+        let Backward { grad, x, weight, mut grad_x, grad_sum, images_each } = pass;
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let count = x.len_of(BATCH);
-        let grad_x = in_order(count, grad_x.map(images_of_mut));
-        let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);
+        let grad_x = in_order(count, grad_x.as_mut().map(|grad_x| grad_x.outer_iter_mut()));
+        let mut images = grad.outer_iter().zip(x.outer_iter()).zip(grad_x);
         let len = Kernel::<X>::sum_len(self, self.shape.width);
         let parts = count.div_ceil(images_each);
         let sums = in_order(parts, grad_sum.map(|sums| sums.chunks_exact_mut(len)));
@@ -236,16 +224,6 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn shares(&self, _: usize) -> bool {
         true
     }
-}
-
-/// The images of a batch.
-fn images_of<'a, X: 'a>(batch: ArrayView3<'a, X>) -> impl Iterator<Item = ArrayView2<'a, X>> {
-    (0..batch.len_of(BATCH)).map(move |image| batch.index_axis_move(BATCH, image))
-}
-
-/// As [`images_of`], to write.
-fn images_of_mut<X>(batch: ArrayViewMut3<'_, X>) -> impl Iterator<Item = ArrayViewMut2<'_, X>> {
-    chunks_mut(batch, BATCH, 1).map(|image| image.index_axis_move(BATCH, 0))
 }
 
 /// `X = A B` with codelets for both, as near to a square as can be.

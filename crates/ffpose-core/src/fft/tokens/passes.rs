@@ -8,7 +8,7 @@ use super::steps::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
-use crate::views::chunks_mut;
+use crate::views::{chunks_mut, in_order};
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type StepRows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
@@ -75,43 +75,28 @@ impl<T: Element> Tokens<T> {
         });
     }
 
-    /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
-    pub(super) fn last_pass<'a>(
+    /// Undoes [`first_pass`](Self::first_pass) up to a factor: in place, or to an image of its own where there is one.
+    pub(super) fn last_pass<'a, X: Stored<Real = T> + 'a>(
         &self,
-        spectra: impl Iterator<Item = ArrayViewMut2<'a, T>>,
+        images: impl Iterator<Item = (ArrayViewMut2<'a, T>, Option<ArrayViewMut2<'a, X>>)>,
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, _], pitch) = (self.factors, self.shape.pitch());
-        let columns =
-            spectra.flat_map(|spectrum| self.columns(spectrum).zip(self.twiddles.chunks_exact(a)));
-        team.run(columns, |(spectrum, twiddles), scratch| {
-            let TokensBuffers { block: vectors, work, .. } = self.scratch(scratch);
-            let image = TileMut::new(spectrum);
-            let block = Block { vectors: &mut *vectors, pitch };
-            image_to_block::<T, true>(self.isa, image.reader(), twiddles, block, work);
-            lines::inverse(self.isa, Block { vectors, pitch }, image, work, far);
+        let ([a, b], pitch) = (self.factors, self.shape.pitch());
+        let columns = images.flat_map(|(spectrum, image)| {
+            let images = in_order(b, image.map(|image| self.columns(image)));
+            self.columns(spectrum).zip(images).zip(self.twiddles.chunks_exact(a))
         });
-    }
-
-    /// As [`last_pass`](Self::last_pass), each to an image of its own.
-    pub(super) fn last_pass_to<'a, X: Stored<Real = T> + 'a>(
-        &self,
-        images: impl Iterator<Item = (ArrayViewMut2<'a, T>, ArrayViewMut2<'a, X>)>,
-        far: bool,
-        team: &mut Team<'_, T>,
-    ) {
-        let ([a, _], pitch) = (self.factors, self.shape.pitch());
-        let columns = images.flat_map(|(spectrum, y)| {
-            let columns = self.columns(spectrum).zip(self.columns(y));
-            columns.zip(self.twiddles.chunks_exact(a))
-        });
-        team.run(columns, |((x, y), twiddles), scratch| {
+        team.run(columns, |((spectrum, image), twiddles), scratch| {
             let TokensBuffers { block: vectors, work, .. } = self.scratch(scratch);
-            let x = Tile::new(x.view());
+            let spectrum = TileMut::new(spectrum);
             let block = Block { vectors: &mut *vectors, pitch };
-            image_to_block::<T, true>(self.isa, x, twiddles, block, work);
-            lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work, far);
+            image_to_block::<T, true>(self.isa, spectrum.reader(), twiddles, block, work);
+            let block = Block { vectors, pitch };
+            match image {
+                Some(image) => lines::inverse(self.isa, block, TileMut::new(image), work, far),
+                None => lines::inverse(self.isa, block, spectrum, work, far),
+            }
         });
     }
 

@@ -5,9 +5,9 @@
 //! [`Transform::inputs`] says where the input goes, [`Transform::outputs`] where the output is.
 
 use super::factors::{groups, inverted, product, remainders};
-use super::prime::{self, PrimeRoots};
+use super::prime;
 use super::rader::Rader;
-use crate::fft::codelets::{Codelet, Dft, has_codelet, root, with_codelet};
+use crate::fft::codelets::{Codelet, Dft, has_codelet, twiddle, with_codelet};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
 use crate::tuning::DEFINED_PRIMES;
 
@@ -31,7 +31,7 @@ pub(crate) struct Pass<T> {
 /// How a radix is transformed.
 enum Butterfly<T> {
     Codelet,
-    Definition(PrimeRoots<T>),
+    Definition(Vec<Complex<T>>),
     Convolution(Box<Rader<T>>),
 }
 
@@ -120,14 +120,22 @@ impl<T: Element> Pass<T> {
     }
 
     fn convolve<const INVERSE: bool>(&self, rader: &Rader<T>, line: &mut [T], work: &mut [T]) {
-        let Digits { outer, middle, inner } = self.digits;
-        let stride = middle * inner;
-        for (outer, offset) in (0..outer).flat_map(|o| (0..stride).map(move |offset| (o, offset))) {
-            let start = outer * self.radix * stride + offset;
-            let (row, radix) = (offset / inner, self.radix);
-            let twiddles = (row > 0).then(|| &self.twiddles[row * radix..][..radix]);
+        let stride = self.digits.middle * self.digits.inner;
+        for (start, twiddles) in self.butterflies() {
             rader.run::<INVERSE>(line, [start, stride], twiddles, work);
         }
+    }
+
+    /// Where each butterfly begins, and its twiddles unless they are ones.
+    fn butterflies(&self) -> impl Iterator<Item = (usize, Option<&[Complex<T>]>)> {
+        let (Digits { outer, middle, inner }, radix) = (self.digits, self.radix);
+        let stride = middle * inner;
+        (0..outer * stride).map(move |butterfly| {
+            let (outer, offset) = (butterfly / stride, butterfly % stride);
+            let first = offset / inner * radix;
+            let twiddles = (first > 0).then(|| &self.twiddles[first..][..radix]);
+            (outer * radix * stride + offset, twiddles)
+        })
     }
 
     pub(crate) fn radix(&self) -> usize {
@@ -139,36 +147,9 @@ impl<T: Element> Pass<T> {
     }
 }
 
-/// The butterflies of radix `R`, then their twiddles.
+/// The butterflies of radix `R`, then their twiddles; the inverse undoes them up to a factor `R`.
 #[inline(always)]
-pub(crate) fn forward<V: Vector, const R: usize>(
-    line: &mut [Complex<V>],
-    Digits { outer, middle, inner }: Digits,
-    twiddles: &[Complex<V::Element>],
-) where
-    Codelet: Dft<R>,
-{
-    let stride = middle * inner;
-    let twiddles = &twiddles.as_chunks::<R>().0[..middle];
-    for outer in 0..outer {
-        for middle in 0..middle {
-            for inner_digit in 0..inner {
-                let start = outer * R * stride + middle * inner + inner_digit;
-                let mut z = Codelet::dft(gather::<_, R>(line, start, stride));
-                if middle > 0 {
-                    for k in 1..R {
-                        z[k] = z[k].times(twiddles[middle][k].splat());
-                    }
-                }
-                scatter(line, start, stride, z);
-            }
-        }
-    }
-}
-
-/// Undoes [`forward`] up to a factor `R`.
-#[inline(always)]
-pub(crate) fn inverse<V: Vector, const R: usize>(
+pub(crate) fn butterflies<V: Vector, const R: usize, const INVERSE: bool>(
     line: &mut [Complex<V>],
     Digits { outer, middle, inner }: Digits,
     twiddles: &[Complex<V::Element>],
@@ -182,12 +163,16 @@ pub(crate) fn inverse<V: Vector, const R: usize>(
             for inner_digit in 0..inner {
                 let start = outer * R * stride + middle * inner + inner_digit;
                 let mut z = gather::<_, R>(line, start, stride);
+                if !INVERSE {
+                    z = Codelet::dft(z);
+                }
                 if middle > 0 {
                     for k in 1..R {
-                        z[k] = z[k].times_conj(twiddles[middle][k].splat());
+                        let twiddle = twiddles[middle][k].splat();
+                        z[k] = if INVERSE { z[k].times_conj(twiddle) } else { z[k].times(twiddle) };
                     }
                 }
-                scatter(line, start, stride, Codelet::idft(z));
+                scatter(line, start, stride, if INVERSE { Codelet::idft(z) } else { z });
             }
         }
     }
@@ -206,17 +191,13 @@ where
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
         let Pass { digits, twiddles, .. } = self.pass;
-        if INVERSE {
-            inverse::<V, R>(line, *digits, twiddles);
-        } else {
-            forward::<V, R>(line, *digits, twiddles);
-        }
+        butterflies::<V, R, INVERSE>(line, *digits, twiddles);
     }
 }
 
 struct RunPrimePass<'a, T, const INVERSE: bool> {
     pass: &'a Pass<T>,
-    roots: &'a PrimeRoots<T>,
+    roots: &'a [Complex<T>],
     line: &'a mut [T],
     work: &'a mut [T],
 }
@@ -224,21 +205,18 @@ struct RunPrimePass<'a, T, const INVERSE: bool> {
 impl<T: Element, const INVERSE: bool> Algorithm<T> for RunPrimePass<'_, T, INVERSE> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Pass { radix, digits: Digits { outer, middle, inner }, twiddles, .. } = self.pass;
         let (line, work) = (complex_vectors::<V>(self.line), complex_vectors::<V>(self.work));
-        let stride = middle * inner;
-        for butterfly in 0..outer * stride {
-            let (outer, offset) = (butterfly / stride, butterfly % stride);
-            let start = outer * radix * stride + offset;
-            let twiddles = &twiddles[offset / inner * radix..][..*radix];
+        let stride = self.pass.digits.middle * self.pass.digits.inner;
+        for (start, twiddles) in self.pass.butterflies() {
+            let twiddles = twiddles.into_iter().flatten().enumerate();
             if INVERSE {
-                for (k, twiddle) in twiddles.iter().enumerate() {
+                for (k, twiddle) in twiddles.clone() {
                     line[start + k * stride] = line[start + k * stride].times_conj(twiddle.splat());
                 }
             }
             prime::dft::<V, INVERSE>(self.roots, line, start, stride, work);
             if !INVERSE {
-                for (k, twiddle) in twiddles.iter().enumerate() {
+                for (k, twiddle) in twiddles {
                     line[start + k * stride] = line[start + k * stride].times(twiddle.splat());
                 }
             }
@@ -270,17 +248,15 @@ fn group_passes<T: Element>(
         twiddles: Vec::new(),
         butterfly: match radix {
             radix if has_codelet!(radix radix) => Butterfly::Codelet,
-            radix if is_defined(radix) => Butterfly::Definition(PrimeRoots::new(radix)),
+            radix if is_defined(radix) => {
+                Butterfly::Definition((0..radix).map(|k| twiddle(k, radix)).collect())
+            }
             _ => Butterfly::Convolution(Box::new(Rader::new(isa, radix))),
         },
     });
     let (inputs, frequencies) = group_passes(isa, rest, outer * radix, inner, passes);
     let digits: Vec<_> = (0..radix).collect();
-    let twiddle = |n| {
-        let (c, s) = root(n, radix * middle);
-        Complex::new(T::nearest(c), T::nearest(-s))
-    };
-    passes[pass].twiddles = product(&inputs, &digits, |n, p| twiddle(n * p));
+    passes[pass].twiddles = product(&inputs, &digits, |n, p| twiddle(n * p, radix * middle));
     (
         product(&digits, &inputs, |p, n| middle * p + n),
         product(&digits, &frequencies, |p, k| p + radix * k),

@@ -1,34 +1,20 @@
 //! DFTs of odd prime lengths without a codelet, from the definition: `p²` operations, half of them shared by mirrored outputs.
 
-use crate::fft::codelets::root;
-use crate::simd::{Complex, Element, Vector};
-
-/// `exp(2πi k / p)` for `k` in `0..p`.
-pub(crate) struct PrimeRoots<T>(Vec<Complex<T>>);
-
-impl<T: Element> PrimeRoots<T> {
-    pub(crate) fn new(p: usize) -> Self {
-        let root = |k| {
-            let (c, s) = root(k, p);
-            Complex::new(T::nearest(c), T::nearest(s))
-        };
-        Self((0..p).map(root).collect())
-    }
-}
+use crate::simd::{Complex, Vector};
 
 /// Outputs computed together, so that each input is loaded once for all of them.
 const TOGETHER: usize = 2;
 
-/// The DFT, or its inverse, of `line[start]`, `line[start + stride]`, ..., in place; `work` has a place for each.
+/// The DFT, or its inverse, of `line[start]`, `line[start + stride]`, ..., in place; `work` has a place for each,
+/// and `roots` are `exp(-2πi k / p)`.
 #[inline(always)]
 pub(crate) fn dft<V: Vector, const INVERSE: bool>(
-    roots: &PrimeRoots<V::Element>,
+    roots: &[Complex<V::Element>],
     line: &mut [Complex<V>],
     start: usize,
     stride: usize,
     work: &mut [Complex<V>],
 ) {
-    let roots = &roots.0;
     let p = roots.len();
     let half = p / 2;
     let pairs = &mut work.as_chunks_mut::<2>().0[..half];
@@ -57,8 +43,8 @@ pub(crate) fn dft<V: Vector, const INVERSE: bool>(
             }
         }
         for i in 0..TOGETHER {
-            line[start + together[i] * stride] = even[i].sub_i(odd[i]);
-            line[start + (p - together[i]) * stride] = even[i].add_i(odd[i]);
+            line[start + together[i] * stride] = even[i].add_i(odd[i]);
+            line[start + (p - together[i]) * stride] = even[i].sub_i(odd[i]);
         }
     }
 }

@@ -26,9 +26,7 @@ pub(super) struct Rader<T> {
 impl<T: Element> Rader<T> {
     pub(super) fn new(isa: Isa, p: usize) -> Self {
         let convolution = Transform::new(isa, p - 1);
-        let g = primitive_root(p);
-        let powers: Vec<_> =
-            std::iter::successors(Some(1), |power| Some(power * g % p)).take(p - 1).collect();
+        let powers = powers(p);
         let backward = |q: usize| powers[(p - 1 - q) % (p - 1)];
         let (mut inputs, mut outputs) = (vec![0; p - 1], vec![0; p - 1]);
         for (q, &position) in convolution.inputs().iter().enumerate() {
@@ -144,23 +142,13 @@ impl<T: Element, const INVERSE: bool> Algorithm<T> for Leave<'_, T, INVERSE> {
     }
 }
 
-/// The least number whose powers are all of `1..p` modulo the prime `p`.
-fn primitive_root(p: usize) -> usize {
-    let order = p - 1;
-    let is_prime = |n: usize| (2..=n.isqrt()).all(|d| !n.is_multiple_of(d));
-    let primes: Vec<_> = (2..=order).filter(|&d| order.is_multiple_of(d) && is_prime(d)).collect();
-    let generates = |g: &usize| primes.iter().all(|prime| power(*g, order / prime, p) != 1);
-    (1..p).find(generates).expect("a prime has a primitive root")
-}
-
-/// `base` to the `exponent`, modulo `p`.
-fn power(base: usize, exponent: usize, p: usize) -> usize {
-    let (mut result, mut square) = (1, base % p);
-    for bit in 0..usize::BITS - exponent.leading_zeros() {
-        if exponent >> bit & 1 == 1 {
-            result = result * square % p;
-        }
-        square = square * square % p;
-    }
-    result
+/// The powers of a primitive root of the prime `p`: all of `1..p`.
+fn powers(p: usize) -> Vec<usize> {
+    let powers_of = |g: usize| {
+        let powers = std::iter::successors(Some(1), move |power| Some(power * g % p));
+        powers.take(p - 1).collect::<Vec<_>>()
+    };
+    // those of other numbers come back to 1 before
+    let is_root = |powers: &Vec<usize>| !powers[1..].contains(&1);
+    (1..p).map(powers_of).find(is_root).expect("a prime has a primitive root")
 }

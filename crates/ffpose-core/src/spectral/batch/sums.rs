@@ -3,7 +3,6 @@
 use ndarray::ArrayViewMut3;
 
 use super::Batch;
-use crate::Real;
 use crate::number::Number;
 use crate::parallel::{self, Team};
 use crate::scratch::Workers;
@@ -37,9 +36,14 @@ impl<X: Number> Batch<'_, X> {
                 .zip(narrow.bins_mut(grad_weight))
                 .map(move |((index, total), grad_weight)| (total, parts, index * len, grad_weight))
         });
-        let add_and_unpack = |job: (&mut [_], _, _, _), team: &mut Team<'_, X::Real>| {
+        let add_and_unpack = |job: (&mut [X::Real], &[_], _, _), team: &mut Team<'_, _>| {
             let (total, parts, start, grad_weight) = job;
-            self.add_parts(total, parts, start, team);
+            team.run(total.chunks_mut(ADDED_TOGETHER).enumerate(), |(index, total), _| {
+                for part in parts.chunks_exact(sum_len) {
+                    let terms = &part[start + index * ADDED_TOGETHER..];
+                    total.iter_mut().zip(terms).for_each(|(sum, term)| *sum = *sum + *term);
+                }
+            });
             self.kernel.unpack_gradient(total, grad_weight, team);
         };
         if self.shape.lanes <= narrow.lanes_each() {
@@ -47,22 +51,6 @@ impl<X: Number> Batch<'_, X> {
             return jobs.for_each(|job| add_and_unpack(job, &mut team));
         }
         parallel::run(self.pool, workers.each(), jobs, add_and_unpack);
-    }
-
-    /// Adds to `total` what stands at `start` of each of `parts`, one after the other.
-    fn add_parts(
-        &self,
-        total: &mut [X::Real],
-        parts: &[X::Real],
-        start: usize,
-        team: &mut Team<'_, X::Real>,
-    ) {
-        let chunks = total.chunks_mut(ADDED_TOGETHER).enumerate();
-        team.run(chunks, |(index, total), _| {
-            for part in parts.chunks_exact(self.sum_len()) {
-                add(total, &part[start + index * ADDED_TOGETHER..]);
-            }
-        });
     }
 
     /// Where the sum of the lanes from `lane` on begins.
@@ -78,8 +66,4 @@ impl<X: Number> Batch<'_, X> {
     fn parts(&self) -> usize {
         self.tiling.images_len().div_ceil(self.images_each)
     }
-}
-
-fn add<T: Real>(sums: &mut [T], terms: &[T]) {
-    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum = *sum + *term);
 }

@@ -18,16 +18,6 @@ pub(crate) enum Weight<'a, T> {
     Prepared(&'a [T]),
 }
 
-impl<'a, T> Weight<'a, T> {
-    /// The weight for a kernel that reads it in natural order.
-    fn whole(self) -> &'a [T] {
-        match self {
-            Self::Natural(weight) => weight.to_slice().expect("a whole weight has no gaps"),
-            Self::Prepared(weight) => weight,
-        }
-    }
-}
-
 impl<X: Number> Batch<'_, X> {
     /// Numbers for packed weights: of a tile for each worker, or of all tiles for all workers.
     pub(crate) fn packed_len(&self) -> usize {
@@ -56,7 +46,10 @@ impl<X: Number> Batch<'_, X> {
         work: impl Fn(usize, J, &[X::Real], &mut Team<'_, X::Real>) + Sync,
     ) {
         let Some(packing) = self.kernel.packing() else {
-            let weight = weight.whole();
+            let weight = match weight {
+                Weight::Natural(weight) => weight.to_slice().expect("a whole weight has no gaps"),
+                Weight::Prepared(weight) => weight,
+            };
             return parallel::run(self.pool, workers.each(), jobs.enumerate(), |job, team| {
                 work(job.0, job.1, weight, team);
             });
@@ -108,7 +101,7 @@ impl<X: Number> Batch<'_, X> {
     }
 
     /// Packs the whole weight, all workers together.
-    fn pack(
+    pub(crate) fn pack(
         &self,
         packing: &dyn Packing<X::Real>,
         (weight, factor): (ArrayView3<'_, X::Real>, Factor),
