@@ -68,12 +68,13 @@ class Textbook:
 
     def predict(self, dt):
         s = self.s
-        ray = np.cross(self.p, self.v) / (self.p @ self.p)
+        n = np.radians(s.orbital_rate)
+        ray = n + np.cross(self.p, self.v) / (self.p @ self.p)
         seen = self.w - self.r.inv().apply(ray)
         turned = dt * np.sqrt(seen @ seen + np.trace(self.cov[9:12, 9:12]))
         a, g = np.zeros((12, 12)), np.zeros((12, 12))
         a[:3, 3:6] = np.eye(3)
-        n = np.radians(s.orbital_rate)  # gravity's gradient, centrifugal and Coriolis forces
+        # gravity's gradient, centrifugal and Coriolis forces
         a[3:6, :3] = n @ n * (3 * np.outer(s.zenith, s.zenith) - np.eye(3)) - hat(n) @ hat(n)
         a[3:6, 3:6] = -2 * hat(n)
         a[6:9, 6:9], a[6:9, 9:] = -hat(self.w), np.eye(3)
@@ -89,7 +90,8 @@ class Textbook:
             f[place : place + 3, place : place + 3] = kept * np.eye(3)
             q[place : place + 3, place : place + 3] = (1 - kept**2) * np.eye(3)
         self.p, self.v = np.split(f[:6, :6] @ np.concatenate([self.p, self.v]), 2)
-        self.r = self.r * Rotation.from_rotvec(self.w * dt)
+        camera, body = (Rotation.from_rotvec(rate * dt) for rate in (n, self.w))
+        self.r = camera.inv() * self.r * body  # both turn against the stars
         self.cov = f @ self.cov @ f.T + q
 
     def correct(self, t, rotation, ct, cr):
@@ -149,7 +151,8 @@ def test_equals_a_textbook_filter_with_whole_matrices(orbit):
         np.testing.assert_allclose(step.nis, nis, rtol=1e-6)
         np.testing.assert_allclose(mine.t, textbook.p, atol=1e-9)
         np.testing.assert_allclose(mine.v, textbook.v, atol=1e-9)
-        np.testing.assert_allclose(np.radians(mine.w), textbook.w, atol=1e-9)
+        of_camera = textbook.r.inv().apply(np.radians(settings.orbital_rate))
+        np.testing.assert_allclose(np.radians(mine.w), textbook.w - of_camera, atol=1e-9)
         q = Rotation.from_quat(mine.q, scalar_first=True)
         assert (q.inv() * textbook.r).magnitude() < 1e-9
         np.testing.assert_allclose(mine.covariance, textbook.cov[:12, :12], atol=1e-10)
@@ -322,6 +325,32 @@ def test_an_orbit_bends_the_way_of_a_free_body():
         wanted = [(4 - 3 * np.cos(angle)) * height, 0, np.cos(angle) * across]
         wanted[1] = along + 6 * (np.sin(angle) - angle) * height
         np.testing.assert_allclose(got, wanted, atol=1e-3)
+
+
+def test_in_an_orbit_a_body_turns_against_the_stars():
+    """The camera turns on; what a track coasts to is where a free body is then."""
+    turning, rate = np.radians([0.03, 0, 0.04]), np.radians([0.0, 1.5, 0.5])
+    start, said = Rotation.random(random_state=5), 1e-8 * np.eye(3)
+
+    def truth(time):
+        camera, body = (Rotation.from_rotvec(vector * time) for vector in (turning, rate))
+        return camera.inv() * start * body
+
+    def coasted(**settings):
+        tracker = Tracker(replace(PLAIN, angular_acceleration=0, asymmetry=0, **settings))
+        for time in np.arange(0, 60, 0.5):
+            tracker.step(time, pose(np.array([0, 0, 15.0]), truth(time), said, said))
+        return tracker.step(90, None).estimate
+
+    def error(estimate):
+        found = Rotation.from_quat(estimate.q, scalar_first=True)
+        return np.degrees((found.inv() * truth(90)).magnitude())
+
+    with_orbit = coasted(**ORBIT)
+    assert error(with_orbit) < 1e-3
+    assert error(coasted()) > 0.5
+    of_camera = truth(90).inv().apply(turning)
+    np.testing.assert_allclose(with_orbit.w, np.degrees(rate - of_camera), atol=1e-4)
 
 
 def test_with_an_orbit_there_is_no_gyro():

@@ -16,7 +16,8 @@ impl Filter {
     ///
     /// That of a body with moments that differ follows Euler's equations, in steps in which it hardly turns.
     /// `camera_rate` is the camera's own angular velocity, rad/s along its axes, as a gyro measures it, or zero. Velocity and
-    /// angular velocity are then those against a camera that does not turn, along the axes of the one that does.
+    /// angular velocity are then those against a camera that does not turn, along the axes of the one that does. In an orbit the
+    /// angular velocity is, too; velocity is relative to the camera.
     ///
     /// Returns the angle, radians, by which the object has turned as the camera sees it.
     pub fn predict(&mut self, t: f64, camera_rate: &Vector3<f64>, parameters: &Parameters) -> f64 {
@@ -46,10 +47,12 @@ impl Filter {
         parameters: &Parameters,
         turn: &Turn,
     ) -> f64 {
-        let angle = self.angle_turned(t);
+        let angle = self.angle_turned(t, parameters);
         let way = Way::new(parameters, t);
         (self.position, self.velocity) = way.of(&self.position, &self.velocity);
-        self.orientation *= UnitQuaternion::from_scaled_axis(self.rate * t);
+        let of_camera = UnitQuaternion::from_scaled_axis(parameters.orbital_rate() * t);
+        let of_object = UnitQuaternion::from_scaled_axis(self.rate * t);
+        self.orientation = of_camera.inverse() * self.orientation * of_object;
         self.orientation.renormalize();
         move_rows(&mut self.cross, &way, turn);
         for (bias, scale) in
@@ -97,9 +100,9 @@ impl Filter {
     ///
     /// The side that is seen changes with the object's rotation and with the direction in which it stands. An uncertain
     /// angular velocity counts with its variance.
-    fn angle_turned(&self, t: f64) -> f64 {
+    fn angle_turned(&self, t: f64, parameters: &Parameters) -> f64 {
         let square = self.position.norm_squared().max(f64::MIN_POSITIVE);
-        let of_ray = self.position.cross(&self.velocity) / square;
+        let of_ray = parameters.orbital_rate() + self.position.cross(&self.velocity) / square;
         let seen = self.rate - self.orientation.inverse_transform_vector(&of_ray);
         let variance = self.covariance.fixed_view::<3, 3>(RATE, RATE).trace();
         sqrt(seen.norm_squared() + variance) * t
@@ -179,7 +182,7 @@ impl Way {
         if !parameters.has_orbit() {
             return Self { of_position: [one, one * t], of_velocity: [Matrix3::zeros(), one] };
         }
-        let rate = Vector3::from(parameters.orbital_rate);
+        let rate = parameters.orbital_rate();
         let n = rate.norm();
         let (up, normal) = (Vector3::from(parameters.zenith), rate / n);
         let along = normal.cross(&up);

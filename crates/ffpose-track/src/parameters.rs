@@ -47,7 +47,8 @@ pub struct Parameters {
     /// Seconds without a believed frame after which the track is lost, told by frames that say nothing or not.
     pub coasting: f64,
     /// The orbit's angular velocity, rad/s along the camera's axes, of a camera that keeps its attitude to the Earth:
-    /// position and velocity then move as Clohessy and Wiltshire's equations say; zero for straight lines.
+    /// position and velocity then move as Clohessy and Wiltshire's equations say, and the object turns against the stars; zero
+    /// for straight lines.
     pub orbital_rate: [f64; 3],
     /// Unit vector away from the Earth, along the camera's axes; counts with an orbital rate alone.
     pub zenith: [f64; 3],
@@ -227,8 +228,13 @@ impl Parameters {
         self.orbital_rate.iter().any(|part| *part != 0.0)
     }
 
+    /// The camera's angular velocity in its orbit, rad/s along its axes; zero without one.
+    pub(crate) fn orbital_rate(&self) -> Vector3<f64> {
+        Vector3::from(self.orbital_rate)
+    }
+
     fn check_orbit(&self) -> Result<(), Error> {
-        let (rate, zenith) = (Vector3::from(self.orbital_rate), Vector3::from(self.zenith));
+        let (rate, zenith) = (self.orbital_rate(), Vector3::from(self.zenith));
         finite("orbital_rate", rate.iter())?;
         finite("zenith", zenith.iter())?;
         if fabs(zenith.norm() - 1.0) > DIRECTION_TOLERANCE {

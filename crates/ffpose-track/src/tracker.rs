@@ -438,7 +438,8 @@ impl Tracker {
         let filter = &hypothesis.filter;
         let q = filter.orientation.quaternion();
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
-        let of_camera = filter.orientation.inverse_transform_vector(&self.camera_rate);
+        let camera_rate = self.camera_rate + self.parameters.orbital_rate();
+        let of_camera = filter.orientation.inverse_transform_vector(&camera_rate);
         Some(Estimate {
             position: filter.position.into(),
             orientation: [q.w, q.i, q.j, q.k].map(|number| number * sign),

@@ -73,7 +73,8 @@ class Settings:
             without a pose tell them or none.
         orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
             keeps its attitude to the Earth: position and velocity then move as Clohessy and
-            Wiltshire's equations say. Zero for straight lines.
+            Wiltshire's equations say, and it is against the stars, not the camera, that a free
+            object turns. Zero for straight lines.
         zenith: Unit vector away from the Earth along the camera's axes; counts with an orbital rate
             alone.
     """
