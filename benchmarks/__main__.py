@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import benchmarks
-from benchmarks import correlation, look, textures, tracking, twist
+from benchmarks import correlation, look, onboard, textures, tracking, twist
 from benchmarks.filter.run import run as run_filter
 from benchmarks.model import attention, deployment
 from benchmarks.output import in_threads
@@ -21,6 +21,7 @@ from ffpose.errors import explain
 
 WHOLE = {
     "look": (look, "the slope and the time of a look where an object is expected"),
+    "onboard": (onboard, "a frame posed alone and one with a track, by the program for the target"),
     "tracking": (tracking, "tracks through rendered sequences against frames posed alone"),
     "correlation": (correlation, "angles over which a network's errors correlate"),
     "textures": (textures, "what textures add to the time of a rendered image"),

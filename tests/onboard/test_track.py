@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
@@ -450,6 +451,7 @@ class Told(ctypes.Structure):
         ("orientation_wxyz", ctypes.c_double * 4),
         ("translation_covariance_m2", ctypes.c_double * 3 * 3),
         ("rotation_covariance_rad2", ctypes.c_double * 3 * 3),
+        ("degrees_of_freedom", ctypes.c_double * 2),
         ("alternative_wxyz", ctypes.c_double * 4),
         ("probabilities", ctypes.c_double * 2),
         ("in_view", ctypes.c_double),
@@ -751,3 +753,20 @@ def test_a_state_of_any_name_is_renamed_from_one_of_its_own(library, opened, tmp
     assert library.ffpose_save(handle, bytes(folder)) == 2  # no file can take its place
     assert [path.name for path in tmp_path.glob("*states*")] == ["states"]
     assert library.ffpose_restore(handle, bytes(folder / "a.new")) == 0
+
+
+def test_the_times_of_frames_alone_and_with_a_track_are_measured(
+    program, models, frames, tmp_path, capsys
+):
+    folder = frames[0].parent
+    rows = [f"{path.name},{place / 2}" for place, path in enumerate(frames)]
+    (folder / "frames.csv").write_text("\n".join(["image,time", *rows]))
+    words = ["onboard", str(models), str(folder), "--program", str(program)]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] == len(frames)
+    assert told["searched_whole"] == 4 + 1  # until the track is there, and after the empty frame
+    assert 0 < told["ratio"] == told["milliseconds"]["with_a_track"] / told["milliseconds"]["alone"]
+    models.write_bytes(sealed(steady(1e-3, sure=False)))
+    assert main(words) == 1
+    assert "expected an answer, got the end of the program" in capsys.readouterr().err

@@ -63,7 +63,8 @@ typedef struct {
   double position_m[3];
   double orientation_wxyz[4];
   double position_covariance_m2[3][3];
-  double rotation_covariance_rad2[3][3]; /* camera axes: R_true = exp([r]x) R; these are NaN where the model has none */
+  double rotation_covariance_rad2[3][3]; /* camera axes: R_true = exp([r]x) R; both are NaN where the model has none */
+  double degrees_of_freedom[2];          /* of the t distributions of both errors: their tails; infinite for Gaussian errors */
   double alternative_wxyz[4];            /* the second most likely orientation */
   double probabilities[2];               /* of the one and of the other */
   double in_view;
