@@ -41,12 +41,16 @@ OTHER: Sizes = (
     ("grid", (31, 31, 64)),
     ("grid", (40, 28, 112)),
     ("grid", (64, 64, 32)),
+    ("grid", (67, 67, 32)),
+    ("grid", (96, 96, 3)),
     ("grid", (100, 100, 16)),
     ("tokens", (197, 256)),
     ("tokens", (100, 100)),
     ("tokens", (256, 256)),
+    ("tokens", (300, 96)),
     ("sequence", (50, 64)),
     ("sequence", (96, 512)),
+    ("sequence", (197, 32)),
     ("sequence", (200, 64)),
     ("sequence", (512, 128)),
 )
@@ -59,6 +63,11 @@ FEW_CHANNELS: Sizes = (
     ("tokens", (1000, 2)),
 )
 """Fewer channels, or columns, than a vector has lanes; seven are common in time series."""
+FEW_ROWS: Sizes = (
+    ("tokens", (8, 256)),
+    ("grid", (8, 256, 4)),
+)
+"""Fewer rows than a square of vectors, and no codelet or channels that fill vectors."""
 OVERHEAD_SIZE = (7, 7, 32)
 """Size at which the overhead of a call exceeds its arithmetic."""
 OVERHEAD_BATCHES = (1, 33)
@@ -110,6 +119,8 @@ class Case:
             return "grid, batch 1" if self.batch == 1 else "grid, batch 8 and 32"
         if size in FEW_CHANNELS:
             return "few channels"
+        if size in FEW_ROWS:
+            return "few rows"
         return "tokens" if size in TOKENS else "other sizes"
 
     @property
@@ -182,7 +193,7 @@ def make_plan(quick: bool) -> Plan:
     if quick:
         cases = [*with_rivals(sweep(FEW, (1, 8), 1), rivals), *overhead_cases()]
         return Plan({best: cases}, 0.1, (*notes, "quick: few sizes, one thread"))
-    sizes = GRID + TOKENS + OTHER + FEW_CHANNELS
+    sizes = GRID + TOKENS + OTHER + FEW_CHANNELS + FEW_ROWS
     cases = [*with_rivals(sweep(sizes, BATCHES, 1), rivals), *overhead_cases()]
     for threads in sorted({2, cores()} if cores() > 1 else ()):
         cases += sweep(GRID + TOKENS, BATCHES, threads)

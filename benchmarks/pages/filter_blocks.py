@@ -18,6 +18,7 @@ GROUPS: Mapping[str, tuple[str, str]] = {
     "tokens": ("tokens", "tokens 196×128 to 784×256"),
     "other sizes": ("other sizes", "other sizes, primes and sequences among them"),
     "few channels": ("few channels", "one to seven channels, sequences and tokens"),
+    "few rows": ("few rows", "eight rows, tokens 8×256 and grids 8×256×4"),
 }
 """Of each group of cases its short and its long name."""
 
