@@ -1,4 +1,4 @@
-"""``python -m benchmarks onboard GRAPH SEQUENCE``: the time of a frame in the program for the target.
+"""``python -m benchmarks onboard GRAPH SEQUENCE``: a frame's time in the program that flies.
 
 Two processes of ``ffpose-onboard``, one thread each, are given the frames of a sequence in turn, so
 that neither has a quieter machine: one poses each frame alone, the other tracks. A frame's time is
@@ -14,7 +14,7 @@ import json
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -100,11 +100,9 @@ def _ask(process: subprocess.Popen[str], line: str) -> tuple[float, dict[str, An
     assert process.stdin is not None
     assert process.stdout is not None
     begin = time.perf_counter()
-    try:
+    with suppress(BrokenPipeError):  # of a program that has said why; its answer is empty
         process.stdin.write(line + "\n")
         process.stdin.flush()
-    except BrokenPipeError:
-        pass  # it has said why, and its answer is empty
     answer = process.stdout.readline()
     milliseconds = 1e3 * (time.perf_counter() - begin)
     if not answer:
