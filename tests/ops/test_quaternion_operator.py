@@ -29,6 +29,16 @@ def test_numbers_by_hand():
     torch.testing.assert_close(normalize_quaternion(q), expected)
 
 
+def test_elements_at_any_address(q):
+    values = torch.frombuffer(bytearray(q.nbytes + 1), dtype=q.dtype, offset=1).view(q.shape)
+    values.copy_(q).requires_grad_()
+    assert values.data_ptr() % values.element_size()
+    torch.testing.assert_close(normalize_quaternion(values), by_definition(q))
+    (grad,) = torch.autograd.grad(normalize_quaternion(values)[..., 0].sum(), values)
+    again = q.requires_grad_()
+    torch.testing.assert_close(grad, torch.autograd.grad(by_definition(q)[..., 0].sum(), again)[0])
+
+
 def test_derivatives_of_first_and_second_order(q):
     q.requires_grad_()
     checks = {"check_batched_grad": True}

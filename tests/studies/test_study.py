@@ -16,6 +16,13 @@ VARIANTS = [(study, variant) for study in STUDIES.values() for variant in study.
 IDS = [f"{study.name}-{variant.name}" for study, variant in VARIANTS]
 
 
+def test_mixers_are_compared_by_the_pose_of_one_look():
+    mixers = [variant for variant in get_study("mixers").variants if variant.name != "compact"]
+    configs = [network(get_study("mixers").config(variant)) for variant in mixers]
+    assert {config.looks for config in configs} == {1}
+    assert len({config.mixer for config in configs}) == len(configs) == 5
+
+
 def test_a_change_reaches_into_the_parts_and_leaves_the_rest():
     new = changed(
         BASE,

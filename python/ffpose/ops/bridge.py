@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -44,10 +45,10 @@ def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None
 
 
 def to_array(tensor: Tensor) -> NDArray[Any]:
-    """Return a C-contiguous array of the arithmetic dtype, copied only if necessary."""
+    """Return a C-contiguous, aligned array of the arithmetic dtype, copied only if necessary."""
     if tensor.dtype in HALF_DTYPES:
         tensor = tensor.float()
-    return tensor.contiguous().numpy(force=True)
+    return np.require(tensor.contiguous().numpy(force=True), requirements="A")
 
 
 def to_tensor(array: NDArray[Any], dtype: torch.dtype) -> Tensor:

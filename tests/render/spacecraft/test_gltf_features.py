@@ -1,5 +1,6 @@
 """Each feature of glTF 2.0 by a file of its own: shape, materials, textures, and what is seen."""
 
+import base64
 import io
 import json
 import struct
@@ -516,9 +517,14 @@ def test_a_texture_in_ktx2_alone_is_refused_and_one_with_another_image_is_read(t
     del texture["source"]
     with pytest.raises(DataError, match="PNG, JPEG or WebP, got texture 0 in KTX2"):
         file.load(tmp_path)
-    file.header["textures"] = [{"source": 1}]
-    with pytest.raises(DataError, match="got texture 0 in KTX2"):
-        file.load(tmp_path)
+    head = b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(68)
+    (tmp_path / "skin.bin").write_bytes(head)
+    data = f"data:application/octet-stream;base64,{base64.b64encode(head).decode()}"
+    for uri, name in (("skin.bin", "'skin.bin'"), (data, "1")):
+        file.header["images"][1] = {"uri": uri}
+        file.header["textures"] = [{"source": 1}]
+        with pytest.raises(DataError, match=f"got image {name} in KTX2"):
+            file.load(tmp_path)
 
 
 def test_metal_and_roughness_come_from_their_channels(tmp_path):

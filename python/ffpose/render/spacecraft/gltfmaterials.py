@@ -35,6 +35,9 @@ READ = (
 )
 """Extensions of materials that are read."""
 
+KTX2 = b"\xabKTX 20\xbb"
+"""What files of that format begin with."""
+
 LEFT_OUT = (
     *("KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_diffuse_transmission"),
     *("KHR_materials_dispersion", "KHR_materials_iridescence", "KHR_materials_sheen"),
@@ -171,19 +174,20 @@ class Materials:
         entry = self._header["textures"][slot["index"]]
         extensions = entry.get("extensions", {})
         number = extensions.get("EXT_texture_webp", {}).get("source", entry.get("source"))
-        kind = None if number is None else self._header["images"][number].get("mimeType")
-        if kind == "image/ktx2" or (number is None and "KHR_texture_basisu" in extensions):
-            text = (
-                f"expected textures of PNG, JPEG or WebP, got texture {slot['index']} in KTX2 "
-                "(KHR_texture_basisu) alone: convert it to one of those"
-            )
-            raise DataError(text, self._path)
+        if number is None and "KHR_texture_basisu" in extensions:
+            raise self._in_ktx2(f"texture {slot['index']}")
         return None if number is None else int(number)
 
     def _opened(self, number: int) -> Any:
         """Open an image, of which Pillow reads the head."""
         content, name = self._image_bytes(number)
+        if content.startswith(KTX2):
+            raise self._in_ktx2(f"image {name}")
         return open_image(content, self._path, name)
+
+    def _in_ktx2(self, what: str) -> DataError:
+        text = f"expected textures of PNG, JPEG or WebP, got {what} in KTX2 (KHR_texture_basisu)"
+        return DataError(f"{text} alone: convert it to one of those", self._path)
 
 
 def _left_out(material: Header) -> Iterator[str]:
