@@ -88,7 +88,12 @@ def _started(command: list[Any]) -> Iterator[subprocess.Popen[str]]:
     """Start a process that answers lines, and end it."""
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
-        yield process
+        assert process.stdin is not None
+        try:
+            yield process
+        finally:
+            with suppress(BrokenPipeError):  # of a line that an ended program has not read
+                process.stdin.close()
 
 
 def _ask(process: subprocess.Popen[str], line: str) -> tuple[float, dict[str, Any]]:

@@ -43,7 +43,7 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     fn packing(&self) -> Option<&dyn Packing<X::Real>>;
 
     /// Numbers in the gradient sum of a tile of at most `lanes` lanes. That of a tile is those of its narrowest tiles, one after
-    /// the other.
+    /// the other. It is as long as a packed weight, unless the kernel says otherwise.
     fn sum_len(&self, lanes: usize) -> usize {
         self.packing().map_or(0, |packing| packing.packed_len(lanes))
     }

@@ -63,8 +63,8 @@ typedef struct {
   double position_m[3];
   double orientation_wxyz[4];
   double position_covariance_m2[3][3];
-  double rotation_covariance_rad2[3][3]; /* camera axes: R_true = exp([r]x) R; both are NaN where the model has none */
-  double degrees_of_freedom[2];          /* of the t distributions of both errors: their tails; infinite for Gaussian errors */
+  double rotation_covariance_rad2[3][3]; /* camera axes: R_true = exp([r]x) R; both covariances are NaN where the model has none */
+  double degrees_of_freedom[2];          /* of the t distributions of position and rotation; infinite: Gaussian */
   double alternative_wxyz[4];            /* the second most likely orientation */
   double probabilities[2];               /* of the one and of the other */
   double in_view;
@@ -79,7 +79,7 @@ typedef struct {
   double position_m[3];
   double orientation_wxyz[4];
   double velocity_m_s[3];           /* camera axes */
-  double angular_velocity_deg_s[3]; /* object's axes; both relative to the camera, whose own turning is not told here: no gyro */
+  double angular_velocity_deg_s[3]; /* object's axes; both relative to the camera, whose own turning but for `orbital_rate` is not told here: no gyro */
   /* of position (m), velocity (m/s), attitude (rad, object's axes: R_true = R exp([r]x)) and angular velocity (rad/s) */
   double covariance[12][12];
   double nis; /* squared Mahalanobis distance of the frame, six degrees of freedom; NaN without either */

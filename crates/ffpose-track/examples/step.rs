@@ -1,4 +1,4 @@
-//! The time of a step of the tracker with one frame, and that of one that coasts: `cargo run --release -p ffpose-track --example step`.
+//! The time of a step of the tracker that follows one attitude: `cargo run --release -p ffpose-track --example step`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -18,13 +18,24 @@ fn main() -> Result<(), ffpose_track::Error> {
     let times: Vec<f64> = (1..=STEPS).map(|step| 0.5 * f64::from(step)).collect();
     let frames: Vec<_> =
         times.iter().map(|time| Shown::tumbling(*time, &mut random).measurement()).collect();
-    for (what, coasts) in [("with a frame", false), ("coasting", true)] {
-        let parameters = Parameters { coasting: f64::INFINITY, ..Parameters::default() };
+    let usual = Parameters { coasting: f64::INFINITY, ..Parameters::default() };
+    let inertia = [1.0, 2.0, 2.5, 0.1, -0.2, 0.05];
+    for (what, parameters, coasts) in [
+        ("with a frame", usual, false),
+        (
+            "with a frame, inertia known, in an orbit",
+            Parameters { inertia, orbital_rate: [1.1e-3, 0.0, 0.0], ..usual },
+            false,
+        ),
+        ("without a frame", usual, true),
+    ] {
         let mut took = vec![];
         for _ in 0..REPEATS {
             let mut tracker = Tracker::new(parameters)?;
-            for (time, frame) in (-10..0).zip(&frames) {
-                tracker.step(0.5 * f64::from(time), Some(frame), [0.0; 3])?;
+            for time in -10..1 {
+                let time = 0.5 * f64::from(time);
+                let frame = Shown::tumbling(time, &mut random).measurement();
+                tracker.step(time, Some(&frame), [0.0; 3])?;
             }
             let begin = Instant::now();
             for (time, frame) in times.iter().zip(&frames) {

@@ -49,7 +49,7 @@ pub struct Filter {
     pub velocity: Vector3<f64>,
     /// Orientation, from the object's to the camera's axes.
     pub orientation: UnitQuaternion<f64>,
-    /// Angular velocity, rad/s, object's axes.
+    /// Angular velocity, rad/s, object's axes; with a gyro or in an orbit that against a camera that does not turn.
     pub rate: Vector3<f64>,
     /// Covariance of their errors, in this order.
     pub covariance: Covariance,

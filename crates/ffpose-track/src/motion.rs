@@ -16,8 +16,8 @@ impl Filter {
     ///
     /// That of a body with moments that differ follows Euler's equations, in steps in which it hardly turns.
     /// `camera_rate` is the camera's own angular velocity, rad/s along its axes, as a gyro measures it, or zero. Velocity and
-    /// angular velocity are then those against a camera that does not turn, along the axes of the one that does. In an orbit the
-    /// angular velocity is, too; velocity is relative to the camera.
+    /// angular velocity are then those against a camera that does not turn; velocity along the axes of the one that does. In an
+    /// orbit the angular velocity is, too; velocity is relative to the camera.
     ///
     /// Returns the angle, radians, by which the object has turned as the camera sees it.
     pub fn predict(&mut self, t: f64, camera_rate: &Vector3<f64>, parameters: &Parameters) -> f64 {

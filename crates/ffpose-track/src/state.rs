@@ -9,7 +9,7 @@ use crate::symmetry::Symmetry;
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK6";
+const MAGIC: [u8; 8] = *b"FFTRACK7";
 
 /// Bytes that say whose track it is, such as the digest of a network's file and of the camera.
 pub const TAG_BYTES: usize = 32;

@@ -76,7 +76,7 @@ pub struct Estimate {
     /// Angular velocity relative to the camera, rad/s, object's axes.
     pub rate: [f64; 3],
     /// Covariance of the errors of position (m, camera axes), velocity (m/s), attitude (rad, object's axes:
-    /// `R_true = R exp([θ]×)`) and angular velocity (rad/s).
+    /// `R_true = R exp([θ]×)`) and angular velocity (rad/s; of that against a camera that does not turn).
     pub covariance: Covariance,
 }
 

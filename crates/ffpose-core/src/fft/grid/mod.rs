@@ -86,6 +86,7 @@ impl<T: Element> Grid<T> {
         let norm = 1.0 / (height * width) as f64;
         let gain = rows.gain();
         let first_gain = if even { 2.0 * gain } else { gain }; // `split` doubles
+        // a weight's and a gradient's alike: columns after the first come back by a factor of 2 / gain
         let plain = T::nearest(2.0 * norm / (gain * gain));
         let weight = Scales { hermitian: T::nearest(norm / first_gain / 2.0), plain };
         let gradient = Scales { hermitian: T::nearest(norm / (first_gain * first_gain)), plain };

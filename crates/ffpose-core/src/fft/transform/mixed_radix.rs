@@ -121,13 +121,13 @@ impl<T: Element> Pass<T> {
 
     fn convolve<const INVERSE: bool>(&self, rader: &Rader<T>, line: &mut [T], work: &mut [T]) {
         let stride = self.digits.middle * self.digits.inner;
-        for (start, twiddles) in self.butterflies() {
+        for (start, twiddles) in self.starts() {
             rader.run::<INVERSE>(line, [start, stride], twiddles, work);
         }
     }
 
     /// Where each butterfly begins, and its twiddles unless they are ones.
-    fn butterflies(&self) -> impl Iterator<Item = (usize, Option<&[Complex<T>]>)> {
+    fn starts(&self) -> impl Iterator<Item = (usize, Option<&[Complex<T>]>)> {
         let (Digits { outer, middle, inner }, radix) = (self.digits, self.radix);
         let stride = middle * inner;
         (0..outer * stride).map(move |butterfly| {
@@ -207,7 +207,7 @@ impl<T: Element, const INVERSE: bool> Algorithm<T> for RunPrimePass<'_, T, INVER
     fn run<V: Vector<Element = T>>(self) {
         let (line, work) = (complex_vectors::<V>(self.line), complex_vectors::<V>(self.work));
         let stride = self.pass.digits.middle * self.pass.digits.inner;
-        for (start, twiddles) in self.pass.butterflies() {
+        for (start, twiddles) in self.pass.starts() {
             let twiddles = twiddles.into_iter().flatten().enumerate();
             if INVERSE {
                 for (k, twiddle) in twiddles.clone() {
