@@ -36,8 +36,8 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         1
     }
 
-    /// Numbers of scratch that each member of a team needs, with any content.
-    fn scratch_len(&self) -> usize;
+    /// Numbers of scratch that each member of a team of so many needs, with any content.
+    fn scratch_len(&self, members: usize) -> usize;
 
     /// How a weight is packed, unless the kernel reads it as it is, all of it.
     fn packing(&self) -> Option<&dyn Packing<X::Real>>;

@@ -180,8 +180,8 @@ impl<X: Stored> Kernel<X> for Batched<X::Real> {
         self.together()
     }
 
-    fn scratch_len(&self) -> usize {
-        3 * self.stage_len() + self.inner::<X>().scratch_len()
+    fn scratch_len(&self, members: usize) -> usize {
+        3 * self.stage_len() + self.inner::<X>().scratch_len(members)
     }
 
     fn packing(&self) -> Option<&dyn Packing<X::Real>> {

@@ -240,7 +240,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         LINE_BYTES / size_of::<X>()
     }
 
-    fn scratch_len(&self) -> usize {
+    fn scratch_len(&self, _: usize) -> usize {
         slack::<X::Real>()
             + 2 * self.spectra(self.together)
             + self.work_len()

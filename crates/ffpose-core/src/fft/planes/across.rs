@@ -153,19 +153,12 @@ impl<T: Real> Spectra<T> for Across<T> {
         2.0
     }
 
-    fn pack(&self, u: usize, row: &[[T; 2]], norm: [T; 2], packed: &mut [T]) {
-        let vector = self.isa.lanes::<T>();
-        for (column, first) in self.firsts(row.len()).enumerate() {
-            let packed = &mut packed[self.place(u, column)..][..2 * vector];
-            if row.len() - first <= (vector - 1) * self.lanes {
-                packed.fill(T::default());
-            }
-            let (real, imaginary) = packed.split_at_mut(vector);
-            let numbers = row[first..].iter().step_by(self.lanes);
-            for ((&[re, im], to), to_imaginary) in numbers.zip(real).zip(imaginary) {
-                (*to, *to_imaginary) = (re * norm[0], im * norm[1]);
-            }
-        }
+    fn pack(&self, weight: &[[T; 2]], norm: [T; 2], packed: &mut [T], team: &mut Team<'_, T>) {
+        let row_len = weight.len() / self.rows();
+        let columns = packed.chunks_exact_mut(self.len_of(self.rows())).zip(self.firsts(row_len));
+        team.run(columns, |(column, first), _| {
+            self.isa.run(PackColumn { across: self, weight, row_len, first, norm, column });
+        });
     }
 
     fn unpack(&self, u: usize, sum: &[T], row: &mut [[T; 2]]) {
@@ -246,6 +239,41 @@ impl<T: Real> Spectra<T> for Across<T> {
             let image = TileMut::new(image.index_axis_move(Axis(0), 0));
             self.isa.run(LeaveRows { image, places: &self.places, lines });
         });
+    }
+}
+
+/// A column of groups of a weight, times `norm`; `first` is where it begins in a row of `row_len` numbers.
+struct PackColumn<'a, T> {
+    across: &'a Across<T>,
+    weight: &'a [[T; 2]],
+    row_len: usize,
+    first: usize,
+    norm: [T; 2],
+    column: &'a mut [T],
+}
+
+impl<T: Real> Algorithm<T> for PackColumn<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let Self { across, weight, row_len, first, .. } = self;
+        let [norm, of_imaginary] = self.norm.map(V::splat);
+        let column = complex_vectors::<V>(self.column);
+        let outputs = across.along_columns.transform().outputs();
+        for (row, &place) in weight.chunks_exact(row_len).zip(outputs) {
+            let row = &row[first..];
+            let (re, im) = if across.lanes == 1 && row.len() >= V::LANES {
+                let [low, high] = Tile::dense(row.as_flattened(), V::LANES).gather(0, 1);
+                V::deinterleave(low, high)
+            } else {
+                let mut parts = [[T::default(); MAX_LANES]; 2];
+                for (i, number) in row.iter().step_by(across.lanes).take(V::LANES).enumerate() {
+                    (parts[0][i], parts[1][i]) = (number[0], number[1]);
+                }
+                let [re, im] = Tile::dense(parts.as_flattened(), MAX_LANES).gather(0, 1);
+                (re, im)
+            };
+            column[place] = Complex::new(re * norm, im * of_imaginary);
+        }
     }
 }
 

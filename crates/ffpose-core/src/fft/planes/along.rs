@@ -99,11 +99,13 @@ impl<T: Real> Spectra<T> for Along<T> {
         1.0
     }
 
-    fn pack(&self, u: usize, row: &[[T; 2]], norm: [T; 2], packed: &mut [T]) {
+    fn pack(&self, weight: &[[T; 2]], norm: [T; 2], packed: &mut [T], _: &mut Team<'_, T>) {
         let packed = packed.as_chunks_mut().0;
-        for (v, lanes) in row.chunks_exact(self.lanes).enumerate() {
-            for (lane, &[re, im]) in lanes.iter().enumerate() {
-                packed[lane * self.bins + v * self.rows + u] = [re * norm[0], im * norm[1]];
+        for (u, row) in weight.chunks_exact(self.half * self.lanes).enumerate() {
+            for (v, lanes) in row.chunks_exact(self.lanes).enumerate() {
+                for (lane, &[re, im]) in lanes.iter().enumerate() {
+                    packed[lane * self.bins + v * self.rows + u] = [re * norm[0], im * norm[1]];
+                }
             }
         }
     }

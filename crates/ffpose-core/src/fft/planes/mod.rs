@@ -13,7 +13,7 @@ pub(crate) use self::across::Across;
 pub(crate) use self::along::Along;
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
-use crate::simd::{Element, Stored};
+use crate::simd::{Element, Stored, slack};
 use crate::views::BATCH;
 use crate::{Real, Shape};
 
@@ -28,15 +28,19 @@ pub(crate) trait Spectra<T: Real>: Send + Sync {
     /// Numbers of the spectra of an image.
     fn numbers(&self) -> usize;
 
-    /// Numbers of scratch that each member of a team needs.
+    /// Numbers from each member of a team that make room for the spectra of two images, in whole cache lines.
+    fn share_len(&self, members: usize) -> usize {
+        (2 * self.numbers()).div_ceil(members).next_multiple_of(slack::<T>())
+    }
+
+    /// Numbers of scratch that each member needs besides.
     fn scratch_len(&self) -> usize;
 
     /// What spectra are multiplied by.
     fn gain(&self) -> f64;
 
-    /// Brings a row of a weight `(columns / 2 + 1, lanes)`, times `norm`, to where the spectra have frequency `u`; imaginary parts times
-    /// that of `norm`.
-    fn pack(&self, u: usize, row: &[[T; 2]], norm: [T; 2], packed: &mut [T]);
+    /// Brings a weight `(rows, columns / 2 + 1, lanes)` to the order of the spectra, real and imaginary parts times those of `norm`.
+    fn pack(&self, weight: &[[T; 2]], norm: [T; 2], packed: &mut [T], team: &mut Team<'_, T>);
 
     /// The numbers at frequency `u` as a row of a weight.
     fn unpack(&self, u: usize, sum: &[T], row: &mut [[T; 2]]);
@@ -95,11 +99,6 @@ impl<P> Planes<P> {
         image.into_shape_with_order(dim).expect("an image has no gaps")
     }
 
-    /// Numbers of a row of a weight.
-    fn weights_of_row(&self) -> usize {
-        self.shape.half() * self.shape.channels()
-    }
-
     /// Points of a plane.
     fn points(&self) -> f64 {
         (self.shape.rows * self.shape.columns) as f64
@@ -116,13 +115,12 @@ impl<T: Real, P: Spectra<T>> Packing<T> for Planes<P> {
         weight: ArrayView3<'_, T>,
         factor: Factor,
         packed: &mut [T],
-        _: &mut Team<'_, T>,
+        team: &mut Team<'_, T>,
     ) {
         let norm = T::nearest(1.0 / (self.points() * self.spectra.gain()));
         let weight = weight.to_slice().expect("a weight has no gaps");
         let norm = [norm, if factor == Factor::Conjugate { -norm } else { norm }];
-        let rows = weight.as_chunks().0.chunks_exact(self.weights_of_row());
-        rows.enumerate().for_each(|(u, row)| self.spectra.pack(u, row, norm, packed));
+        self.spectra.pack(weight.as_chunks().0, norm, packed, team);
     }
 }
 
@@ -131,8 +129,8 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         self.shape.lanes
     }
 
-    fn scratch_len(&self) -> usize {
-        2 * self.spectra.numbers() + self.spectra.scratch_len()
+    fn scratch_len(&self, members: usize) -> usize {
+        self.spectra.share_len(members) + self.spectra.scratch_len()
     }
 
     fn packing(&self) -> Option<&dyn Packing<X::Real>> {
@@ -146,7 +144,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let (spectra, mut team) = team.share(2 * self.spectra.numbers());
+        let (spectra, mut team) = team.share(self.spectra.share_len(team.members()));
         let spectra = &mut spectra[..self.spectra.numbers()];
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.spectra.enter(self.by_rows(x), spectra, &mut team);
@@ -158,7 +156,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, weight, mut grad_x, mut grad_sum, images_each } = pass;
         let numbers = self.spectra.numbers();
-        let (spectra, mut team) = team.share(2 * numbers);
+        let (spectra, mut team) = team.share(self.spectra.share_len(team.members()));
         let (spectra, of_x) = spectra[..2 * numbers].split_at_mut(numbers);
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             self.spectra.enter(self.by_rows(grad), spectra, &mut team);
@@ -179,13 +177,14 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         &self,
         grad_sum: &[X::Real],
         mut grad_weight: ArrayViewMut3<'_, X::Real>,
-        _: &mut Team<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let once = 1.0 / (self.points() * self.spectra.gain().powi(2));
         let factors = [once, 2.0 * once].map(X::Real::nearest);
         let grad_weight = grad_weight.as_slice_mut().expect("a weight has no gaps");
-        let rows = grad_weight.as_chunks_mut().0.chunks_exact_mut(self.weights_of_row());
-        for (u, row) in rows.enumerate() {
+        let row_len = self.shape.half() * self.shape.channels();
+        let rows = grad_weight.as_chunks_mut().0.chunks_exact_mut(row_len);
+        team.run(rows.enumerate(), |(u, row), _| {
             self.spectra.unpack(u, grad_sum, row);
             for (v, lanes) in row.chunks_exact_mut(self.shape.channels()).enumerate() {
                 // columns of DC and Nyquist stand for themselves alone
@@ -193,7 +192,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
                 let factor = factors[usize::from(!is_real)];
                 lanes.as_flattened_mut().iter_mut().for_each(|part| *part = *part * factor);
             }
-        }
+        });
     }
 
     fn shares(&self, images: usize) -> bool {

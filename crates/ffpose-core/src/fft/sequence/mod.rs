@@ -157,7 +157,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         (LINE_BYTES / size_of::<X>()).next_multiple_of(self.lanes).min(self.most())
     }
 
-    fn scratch_len(&self) -> usize {
+    fn scratch_len(&self, _: usize) -> usize {
         let padded = self.length * self.most();
         let spectra = 2 * self.vectors * self.line_len();
         slack::<X::Real>() + spectra + self.lines.work_len() + padded + self.bins_len()

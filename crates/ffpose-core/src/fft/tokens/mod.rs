@@ -139,7 +139,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         self.shape.width
     }
 
-    fn scratch_len(&self) -> usize {
+    fn scratch_len(&self, _: usize) -> usize {
         2 * self.spectrum_len() + self.member_len()
     }
 

@@ -77,7 +77,7 @@ impl<'a, X: Number> Batch<'a, X> {
     /// What the call needs, with so many numbers for all workers together.
     pub(crate) fn needs(&self, shared: usize) -> Needs {
         let (workers, members) = (self.workers, self.members);
-        Needs { workers, members, kernel: self.kernel.scratch_len(), shared }
+        Needs { workers, members, kernel: self.kernel.scratch_len(members), shared }
     }
 
     /// As [`needs`](Self::needs), with room for copies of what goes together in place.

@@ -187,8 +187,8 @@ impl Kernel<f32> for Counting<'_> {
         self.0.narrowest_tile()
     }
 
-    fn scratch_len(&self) -> usize {
-        self.0.scratch_len()
+    fn scratch_len(&self, members: usize) -> usize {
+        self.0.scratch_len(members)
     }
 
     fn packing(&self) -> Option<&dyn Packing<f32>> {
