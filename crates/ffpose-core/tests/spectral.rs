@@ -13,7 +13,7 @@ use ndarray::{ArrayD, Axis};
 use rustfft::num_traits::FromPrimitive;
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 33] = [
+const GRIDS: [[usize; 4]; 34] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -48,6 +48,7 @@ const GRIDS: [[usize; 4]; 33] = [
     [33, 1, 12, 7],
     [18, 1, 15, 3],
     [70, 1, 8, 1],
+    [19, 1, 21, 1],
     [20, 6, 5, 2],
     [3, 4, 4, 15],
 ];

@@ -13,7 +13,7 @@ use crate::fft::transform::Transform;
 use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, MAX_LANES, Stored, Tile, TileMut, Vector, complex_vectors,
-    complex_vectors_of, transpose_square,
+    complex_vectors_of, squares, transpose_square,
 };
 use crate::tuning::LONGEST_LINE;
 use crate::views::{chunks_mut, in_order};
@@ -275,12 +275,6 @@ impl<T: Real> Algorithm<T> for PackColumn<'_, T> {
             column[place] = Complex::new(re * norm, im * of_imaginary);
         }
     }
-}
-
-/// Where the squares of `len` numbers begin: the last one may begin again in the one before.
-#[inline(always)]
-fn squares<V: Vector>(len: usize) -> impl Iterator<Item = usize> {
-    (0..len.div_ceil(V::LANES)).map(move |square| (square * V::LANES).min(len - V::LANES))
 }
 
 /// Rows of an image from `first` on as lines; below the last row that is repeated.
