@@ -11,7 +11,8 @@
 //! weight view real and imaginary part are neighbors and the stride of the lanes is 2. No dimension is zero, and
 //! weights, gradient sums and the team's scratches have exactly the lengths that the kernel asked for, and
 //! begin where a vector may; the driver has seen to it.
-//! A team has several members only where a call is one single piece; results must not depend on how many.
+//! A team has several members only where a call is one single piece, or all workers pack or unpack one weight together; results must
+//! not depend on how many.
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
@@ -36,7 +37,8 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         1
     }
 
-    /// Numbers of scratch that each member of a team of so many needs, with any content.
+    /// Numbers of scratch that each member of a team of so many needs, with any content; for packing and unpacking also where the
+    /// team is larger.
     fn scratch_len(&self, members: usize) -> usize;
 
     /// How a weight is packed, unless the kernel reads it as it is, all of it.

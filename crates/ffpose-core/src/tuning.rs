@@ -43,7 +43,7 @@ pub(crate) const SEQUENCE_VECTORS: usize = 4;
 /// Bytes of an L1 cache. Where the lines of half a tile fit and those of all of it do not, the half took 0.9 of the time.
 pub(crate) const L1_CACHE: usize = 1 << 15;
 
-/// Points of an image of few channels that are copied before those of the next: their lines stay in the L1 cache.
+/// Points of an image of several channels that are copied before those of the next: their lines stay in the L1 cache.
 pub(crate) const COPIED_POINTS: usize = 64;
 
 /// Points of a row of many channels that are copied to the rows of its lanes together: their lines meet in the same few sets of the cache.

@@ -334,6 +334,8 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
         (Layout::Tokens, vec![1, 784, 512]), // one image, shared by threads
+        (Layout::Tokens, vec![1, 151, 251]), // the same by squares of vectors
+        (Layout::Grid, vec![1, 131, 140, 3]),
         (Layout::Tokens, vec![9, 196, 128]),
     ];
     for (layout, dim) in large {

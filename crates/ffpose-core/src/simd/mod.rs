@@ -154,7 +154,7 @@ pub(crate) fn transpose_square<V: Vector>(vectors: &mut [V; MAX_LANES]) {
     V::transpose_in_halves(second);
 }
 
-/// Where the squares of `len` numbers begin: the last one may begin again in the one before.
+/// Where the squares of `len` numbers, at least a vector, begin: the last one may begin again in the one before.
 #[inline(always)]
 pub(crate) fn squares<V: Vector>(len: usize) -> impl Iterator<Item = usize> {
     (0..len.div_ceil(V::LANES)).map(move |square| (square * V::LANES).min(len - V::LANES))

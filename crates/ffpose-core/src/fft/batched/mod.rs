@@ -135,7 +135,8 @@ impl<T: Element> Batched<T> {
         ArrayView3::from_shape((1, self.points, self.lanes), stage).expect("as many numbers")
     }
 
-    /// Whether images go side by side by squares of vectors.
+    /// Whether images go side by side by squares of vectors. For more channels, whole vectors in place of runs took 1.0 to 2 times as
+    /// long.
     fn is_transposed(&self) -> bool {
         self.channels == 1 && self.points >= self.lanes
     }

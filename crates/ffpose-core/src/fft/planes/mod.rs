@@ -14,6 +14,7 @@ pub(crate) use self::along::Along;
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored, slack};
+use crate::tuning::ADDED_TOGETHER;
 use crate::views::BATCH;
 use crate::{Real, Shape};
 
@@ -183,14 +184,17 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         let factors = [once, 2.0 * once].map(X::Real::nearest);
         let grad_weight = grad_weight.as_slice_mut().expect("a weight has no gaps");
         let row_len = self.shape.half() * self.shape.channels();
-        let rows = grad_weight.as_chunks_mut().0.chunks_exact_mut(row_len);
-        team.run(rows.enumerate(), |(u, row), _| {
-            self.spectra.unpack(u, grad_sum, row);
-            for (v, lanes) in row.chunks_exact_mut(self.shape.channels()).enumerate() {
-                // columns of DC and Nyquist stand for themselves alone
-                let is_real = v == 0 || 2 * v == self.shape.columns;
-                let factor = factors[usize::from(!is_real)];
-                lanes.as_flattened_mut().iter_mut().for_each(|part| *part = *part * factor);
+        let rows_each = (ADDED_TOGETHER / (2 * row_len)).max(1);
+        let jobs = grad_weight.as_chunks_mut().0.chunks_mut(rows_each * row_len).enumerate();
+        team.run(jobs, |(job, rows), _| {
+            for (i, row) in rows.chunks_exact_mut(row_len).enumerate() {
+                self.spectra.unpack(job * rows_each + i, grad_sum, row);
+                for (v, lanes) in row.chunks_exact_mut(self.shape.channels()).enumerate() {
+                    // columns of DC and Nyquist stand for themselves alone
+                    let is_real = v == 0 || 2 * v == self.shape.columns;
+                    let factor = factors[usize::from(!is_real)];
+                    lanes.as_flattened_mut().iter_mut().for_each(|part| *part = *part * factor);
+                }
             }
         });
     }

@@ -110,6 +110,10 @@ impl<X: Number> Batch<'_, X> {
     ) {
         let widest = self.kernel.tile().next_multiple_of(self.granule);
         let lanes = self.share_of_lanes().min(widest);
+        if self.shape.lanes <= lanes {
+            let packed = &mut packed[..packing.packed_len(self.shape.lanes)];
+            return packing.pack(weight, factor, packed, &mut workers.together());
+        }
         let tiling = Tiling::new(self.shape, lanes, 1, 1);
         let jobs = packed.chunks_mut(packing.offset(self.granule, lanes)).enumerate();
         parallel::run(self.pool, workers.each(), jobs, |(tile, packed), team| {
