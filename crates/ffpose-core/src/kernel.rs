@@ -14,6 +14,8 @@
 //! A team has several members only where a call is one single piece, or all workers pack or unpack one weight together; results must
 //! not depend on how many.
 
+use std::ops::Range;
+
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 use crate::parallel::Team;
@@ -94,10 +96,12 @@ pub(crate) trait Packing<T>: Sync {
         lane.div_ceil(granule).saturating_mul(self.packed_len(granule))
     }
 
-    /// Packs a factor made of the weight of one tile; the team's scratches are the kernel's.
+    /// Packs a factor made of the weight of one tile, `lanes` of the images; the team's scratches are the kernel's. `weight` has all
+    /// lanes: a tile that does not fill a vector is packed with those before it.
     fn pack(
         &self,
         weight: ArrayView3<'_, T>,
+        lanes: Range<usize>,
         factor: Factor,
         packed: &mut [T],
         team: &mut Team<'_, T>,

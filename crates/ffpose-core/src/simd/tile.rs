@@ -172,6 +172,22 @@ impl<'a, T: Stored> Tile<'a, T> {
         // SAFETY: `lane` is inside the run of each point, or just behind it.
         Self { start: unsafe { self.start.add(lane) }, lanes: self.lanes - lane, ..self }
     }
+
+    /// Part number `index` of `width` lanes. The last one ends where the lanes do: where they are no multiple of `width`, it begins
+    /// inside the part before it.
+    #[inline(always)]
+    pub(crate) fn part(self, index: usize, width: usize) -> Self {
+        assert!(width <= self.lanes);
+        let lane = (index * width).min(self.lanes - width);
+        // SAFETY: `width` lanes from `lane` on are inside the run of each point.
+        Self { start: unsafe { self.start.add(lane) }, lanes: width, ..self }
+    }
+
+    /// The first `N` parts of `width` lanes, as [`part`](Self::part); behind the last one it is the last again.
+    #[inline(always)]
+    pub(crate) fn parts<const N: usize>(self, width: usize) -> [Self; N] {
+        std::array::from_fn(|index| self.part(index, width))
+    }
 }
 
 /// Tiles of elements of vectors, not of half their precision.
@@ -225,6 +241,27 @@ impl<'a, T: Stored> TileMut<'a, T> {
         let start = unsafe { self.start.add(lane) };
         let (points, stride) = (self.points, self.stride);
         TileMut { start, points, lanes: self.lanes - lane, stride, view: PhantomData }
+    }
+
+    /// As [`Tile::part`].
+    #[inline(always)]
+    pub(crate) fn part(&mut self, index: usize, width: usize) -> TileMut<'_, T> {
+        assert!(width <= self.lanes);
+        let lane = (index * width).min(self.lanes - width);
+        // SAFETY: `width` lanes from `lane` on are inside the run of each point.
+        let start = unsafe { self.start.add(lane) };
+        let (points, stride) = (self.points, self.stride);
+        TileMut { start, points, lanes: width, stride, view: PhantomData }
+    }
+
+    /// As [`Tile::parts`].
+    #[inline(always)]
+    pub(crate) fn parts<const N: usize>(&mut self, width: usize) -> [TileMut<'_, T>; N] {
+        let (points, stride) = (self.points, self.stride);
+        std::array::from_fn(|index| {
+            let start = self.part(index, width).start;
+            TileMut { start, points, lanes: width, stride, view: PhantomData }
+        })
     }
 
     /// One point as points of `lanes` lanes.

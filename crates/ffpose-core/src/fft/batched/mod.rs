@@ -176,6 +176,7 @@ impl<T: Element> Packing<T> for Batched<T> {
     fn pack(
         &self,
         weight: ArrayView3<'_, T>,
+        _: Range<usize>,
         factor: Factor,
         packed: &mut [T],
         team: &mut Team<'_, T>,
@@ -187,7 +188,7 @@ impl<T: Element> Packing<T> for Batched<T> {
         repeat(self.channels, weight, copies, self.lanes);
         let weight = ArrayView3::from_shape((self.shape.bins_len(), self.lanes, 2), stage);
         let weight = weight.expect("as many numbers");
-        self.packing_of_inner().pack(weight, factor, packed, &mut team);
+        self.packing_of_inner().pack(weight, 0..self.lanes, factor, packed, &mut team);
     }
 }
 

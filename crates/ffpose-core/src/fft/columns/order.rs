@@ -61,23 +61,24 @@ impl<T: Element> BinOrder<T> {
         self.hermitian.len() + self.others.len()
     }
 
-    /// Gives `each`, in turn, the factor at `R` places of one column, `first` and following, from a weight in natural order.
+    /// The factors at `R` places of one column, `first` and following, from a weight in natural order.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,
         weight: Tile<'_, T>,
         factor: Factor,
         first: usize,
-        mut each: impl FnMut(usize, Complex<V>),
-    ) {
+    ) -> [Complex<V>; R] {
         let conjugate = factor == Factor::Conjugate;
+        let zero = V::splat(T::default());
+        let mut factors = [Complex::new(zero, zero); R];
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
             let places = &self.others[first..first + R];
             let im_scale = if places[0].1 == conjugate { scale } else { -scale };
             for i in 0..R {
                 let z = weight.complex::<V>(places[i].0);
-                each(i, Complex::new(z.re * scale, z.im * im_scale));
+                factors[i] = Complex::new(z.re * scale, z.im * im_scale);
             }
         } else {
             let mean = V::splat(self.weight.hermitian);
@@ -86,9 +87,10 @@ impl<T: Element> BinOrder<T> {
             for i in 0..R {
                 let (bin, mirror) = places[i];
                 let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
-                each(i, Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * im_mean));
+                factors[i] = Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * im_mean);
             }
         }
+        factors
     }
 
     /// Asks for the weight of a place behind those of the first column: bins are far apart and in no order, so that no processor
@@ -127,7 +129,7 @@ impl<T: Element> BinOrder<T> {
         }
     }
 
-    /// A factor made of `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
+    /// A factor made of `weight` `(bins, lanes, 2)`, of one vector or more, to `packed`, one vector of lanes after the other.
     pub(crate) fn pack(
         &self,
         isa: Isa,
@@ -138,7 +140,7 @@ impl<T: Element> BinOrder<T> {
         isa.run(PackLanes { order: self, weight: Tile::of_complex(weight), factor, packed });
     }
 
-    /// `sum`, packed, to `gradient` `(bins, lanes, 2)`, of whole vectors.
+    /// `sum`, packed, to `gradient` `(bins, lanes, 2)`, of one vector or more.
     pub(crate) fn unpack(&self, isa: Isa, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
         isa.run(UnpackLanes { order: self, sum, gradient: TileMut::of_complex(gradient) });
     }
@@ -158,12 +160,11 @@ impl<T: Element> Algorithm<T> for PackLanes<'_, T> {
         let len = self.order.packed_len(V::LANES);
         for place in 0..self.order.places() {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
-                let weight = self.weight.skip_lanes(2 * i * V::LANES);
+                let weight = self.weight.part(i, 2 * V::LANES);
                 self.order.prefetch::<V>(weight, place + PLACES_AHEAD);
                 let mut packed = TileMut::dense(packed, V::LANES);
-                self.order.read::<V, 1>(weight, self.factor, place, |_, z| {
-                    packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
-                });
+                let [z] = self.order.read::<V, 1>(weight, self.factor, place);
+                packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
             }
         }
     }
@@ -182,7 +183,7 @@ impl<T: Element> Algorithm<T> for UnpackLanes<'_, T> {
         for place in 0..self.order.places() {
             for (i, sum) in sums.clone().enumerate() {
                 let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(2 * place, 1);
-                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
+                let mut gradient = self.gradient.part(i, 2 * V::LANES);
                 self.order.write(&mut gradient, place, [Complex::new(re, im)]);
             }
         }

@@ -128,10 +128,11 @@ impl<T: Element> Pointwise<T> for NaturalProduct<'_, T> {
         at: At,
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let weight = self.weight.skip_lanes(2 * at.vector * V::LANES);
-        self.order.read::<V, R>(weight, self.factor, at.place, |i, factor| {
-            spectrum[i] = spectrum[i].times(factor);
-        });
+        let weight = self.weight.part(at.vector, 2 * V::LANES);
+        let factors = self.order.read::<V, R>(weight, self.factor, at.place);
+        for i in 0..R {
+            spectrum[i] = spectrum[i].times(factors[i]);
+        }
         spectrum
     }
 }
@@ -157,7 +158,7 @@ impl<T: Element> Pointwise<T> for NaturalGradient<'_, T> {
         for i in 0..R {
             products[i] = spectrum[i].times_conj(Complex::new(re[i], im[i]));
         }
-        let mut gradient = self.gradient.skip_lanes(2 * at.vector * V::LANES);
+        let mut gradient = self.gradient.part(at.vector, 2 * V::LANES);
         self.order.write(&mut gradient, at.place, products);
         spectrum
     }

@@ -45,7 +45,7 @@ pub(crate) struct Grid<T> {
     together: usize,
     alone: usize,
     points: usize,
-    /// Numbers in a weight of one vector of lanes, where the last vector of the lanes is not full.
+    /// Numbers in a weight of one vector of lanes, where a tile may have fewer lanes than that.
     padded_bins: usize,
     rows: Rows<T>,
     columns: Columns<T>,
@@ -149,12 +149,10 @@ impl<T: Element> Grid<T> {
         self.place(!self.tuning.are_prefetched(bytes, each))
     }
 
-    /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.
+    /// Parts of `lanes` lanes, at most `together` in each: none has fewer than a vector, unless there are fewer.
     fn parts(&self, lanes: usize, together: usize) -> impl Iterator<Item = Range<usize>> {
-        let whole = lanes - lanes % self.lanes;
-        let parts = (0..whole).step_by(together);
-        let rest = (whole < lanes).then_some(whole..lanes);
-        parts.map(move |start| start..whole.min(start.saturating_add(together))).chain(rest)
+        let last = lanes.saturating_sub(self.lanes);
+        (0..lanes).step_by(together).map(move |start| start.min(last)..lanes.min(start + together))
     }
 
     /// Numbers in the spectra of an image of `lanes` lanes.
@@ -162,7 +160,7 @@ impl<T: Element> Grid<T> {
         lanes.div_ceil(self.lanes) * self.columns.len()
     }
 
-    /// An image `(points, lanes)` to `spectrum`; `padded` holds it if its lanes are not whole vectors.
+    /// An image `(points, lanes)` to `spectrum`; `padded` holds it if its lanes do not fill a vector.
     fn rows_forward<X: Stored<Real = T>>(
         &self,
         place: Place<'_>,
@@ -171,17 +169,15 @@ impl<T: Element> Grid<T> {
         work: &mut [T],
         padded: &mut [T],
     ) {
-        let lanes = image.ncols();
-        let whole = lanes.next_multiple_of(self.lanes);
-        if lanes < whole {
-            let image = Tile::dense(views::padded(image, whole, padded), whole);
+        if image.ncols() < self.lanes {
+            let image = Tile::dense(views::padded(image, self.lanes, padded), self.lanes);
             self.rows.forward(self.isa, image, place, spectrum, work);
         } else {
             self.rows.forward(self.isa, Tile::new(image), place, spectrum, work);
         }
     }
 
-    /// `spectrum` to an image `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
+    /// `spectrum` to an image `(points, lanes)`, by way of `padded` if its lanes do not fill a vector.
     fn rows_inverse<X: Stored<Real = T>>(
         &self,
         place: Place<'_>,
@@ -190,13 +186,10 @@ impl<T: Element> Grid<T> {
         work: &mut [T],
         padded: &mut [T],
     ) {
-        let lanes = image.ncols();
-        let whole = lanes.next_multiple_of(self.lanes);
-        if lanes < whole {
-            let padded = &mut padded[..self.points * whole];
-            let tile = TileMut::dense(padded, whole);
-            self.rows.inverse(self.isa, spectrum, place, tile, work);
-            views::unpadded(padded, whole, image);
+        if image.ncols() < self.lanes {
+            let whole = TileMut::dense(&mut *padded, self.lanes);
+            self.rows.inverse(self.isa, spectrum, place, whole, work);
+            views::unpadded(padded, self.lanes, image);
         } else {
             self.rows.inverse(self.isa, spectrum, place, TileMut::new(image), work);
         }
@@ -265,7 +258,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         for image in 0..x.len_of(BATCH) {
             for lanes in self.parts(x.len_of(Axis(2)), self.together) {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
-                let packed = &packed[lanes.start / self.lanes * packed_len..];
+                let packed = &packed[lanes.start.div_ceil(self.lanes) * packed_len..];
                 let part = s![image, .., lanes];
                 self.rows_forward(place, x.slice(part), spectrum, work, padded);
                 self.columns.filter(spectrum, packed, work);
@@ -281,7 +274,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         let place = self.place_of_several(&grad, 2);
         for image in 0..grad.len_of(BATCH) {
             for lanes in self.parts(lanes, self.together) {
-                let start = lanes.start / self.lanes * packed_len;
+                let start = lanes.start.div_ceil(self.lanes) * packed_len;
                 let part = s![image, .., lanes];
                 self.backward_lanes(
                     place,
@@ -297,20 +290,18 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
 
     fn unpack_gradient(
         &self,
-        mut grad_sum: &[X::Real],
-        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        grad_sum: &[X::Real],
+        grad_weight: ArrayViewMut3<'_, X::Real>,
         team: &mut Team<'_, X::Real>,
     ) {
-        for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
-            let part = grad_sum.split_off(..self.packed_len(lanes.len())).expect("all lanes");
-            let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.order.unpack(self.isa, part, gradient);
-            } else {
-                let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
-                self.order.unpack(self.isa, part, whole.view_mut());
-                gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
-            }
+        let lanes = grad_weight.len_of(Axis(1));
+        let grad_sum = &grad_sum[..self.packed_len(lanes)];
+        if lanes < self.lanes {
+            let mut whole = views::bins(self.scratch(team.scratch()).bins[0], self.lanes);
+            self.order.unpack(self.isa, grad_sum, whole.view_mut());
+            views::unpadded_bins(whole.view(), grad_weight);
+        } else {
+            self.order.unpack(self.isa, grad_sum, grad_weight);
         }
     }
 

@@ -8,6 +8,7 @@ use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
 use crate::kernel::{Factor, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Element, LINE_BYTES, Stored, Tile, TileMut};
+use crate::views;
 
 impl<T: Element> Grid<T> {
     /// Lanes of one image that go together: at least a cache line of what is stored.
@@ -17,7 +18,7 @@ impl<T: Element> Grid<T> {
 
     /// Whether so many lanes of one image go together without padding; cutting views takes its time.
     fn undivided<X>(&self, lanes: usize) -> bool {
-        lanes <= self.alone::<X>() && lanes.is_multiple_of(self.lanes)
+        (self.lanes..=self.alone::<X>()).contains(&lanes)
     }
 
     /// For lanes of one image: far are those that do not come to the cache by themselves, with their result and their weight.
@@ -95,15 +96,15 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
         if self.undivided::<X>(x.ncols()) {
             return self.forward_single(x, weight, y, &mut scratch);
         }
+        if x.ncols() < self.lanes {
+            let room = std::mem::take(&mut scratch.bins[0]);
+            let weight = views::padded_bins(weight, self.lanes, room);
+            return self.forward_single(x, weight, y, &mut scratch);
+        }
         for lanes in self.parts(x.ncols(), self.alone::<X>()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.forward_single(x, weight, y, &mut scratch);
-            } else {
-                let room = std::mem::take(&mut scratch.bins[0]);
-                self.forward_single(x, self.padded_bins(weight, room), y, &mut scratch);
-            }
+            self.forward_single(x, weight, y, &mut scratch);
         }
     }
 
@@ -113,25 +114,25 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
             return self.backward_single(pass, &mut scratch);
         }
         let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
+        if x.ncols() < self.lanes {
+            let [room, whole] = std::mem::take(&mut scratch.bins);
+            let weight = views::padded_bins(weight, self.lanes, room);
+            let mut whole = views::bins(whole, self.lanes);
+            let of_whole = grad_weight.is_some().then(|| whole.view_mut());
+            let pass = SingleBackward { grad, x, weight, grad_x, grad_weight: of_whole };
+            self.backward_single(pass, &mut scratch);
+            if let Some(grad_weight) = grad_weight {
+                views::unpadded_bins(whole.view(), grad_weight);
+            }
+            return;
+        }
         for lanes in self.parts(x.ncols(), self.alone::<X>()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part));
-            let mut grad_weight = grad_weight.as_mut().map(|gradient| gradient.slice_mut(bins));
-            if lanes.len().is_multiple_of(self.lanes) {
-                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
-                self.backward_single(pass, &mut scratch);
-            } else {
-                let [room, whole] = std::mem::take(&mut scratch.bins);
-                let weight = self.padded_bins(weight, room);
-                let mut whole = self.bins(whole);
-                let of_whole = grad_weight.is_some().then(|| whole.view_mut());
-                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight: of_whole };
-                self.backward_single(pass, &mut scratch);
-                if let Some(grad_weight) = &mut grad_weight {
-                    grad_weight.assign(&whole.slice(s![.., ..lanes.len(), ..]));
-                }
-            }
+            let grad_weight = grad_weight.as_mut().map(|gradient| gradient.slice_mut(bins));
+            let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
+            self.backward_single(pass, &mut scratch);
         }
     }
 }

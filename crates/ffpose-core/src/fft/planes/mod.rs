@@ -7,6 +7,8 @@
 mod across;
 mod along;
 
+use std::ops::Range;
+
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 pub(crate) use self::across::Across;
@@ -114,6 +116,7 @@ impl<T: Real, P: Spectra<T>> Packing<T> for Planes<P> {
     fn pack(
         &self,
         weight: ArrayView3<'_, T>,
+        _: Range<usize>,
         factor: Factor,
         packed: &mut [T],
         team: &mut Team<'_, T>,

@@ -20,7 +20,7 @@ use crate::kernel::Factor;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, complex_vectors_of,
 };
-use crate::tuning::PLACES_AHEAD;
+use crate::tuning::{PLACES_AHEAD, SEQUENCE_VECTORS};
 
 /// The plan for real lines of one even length.
 pub(super) struct Halves<T> {
@@ -69,13 +69,13 @@ impl<T: Element> Halves<T> {
         2 * self.isa.lanes::<T>() * vectors
     }
 
-    /// A factor made of `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
+    /// A factor made of `weight` `(bins, lanes, 2)`, of one vector or more, to `packed`, one vector of lanes after the other.
     pub(super) fn pack(&self, weight: ArrayView3<'_, T>, factor: Factor, packed: &mut [T]) {
         let weight = Tile::of_complex(weight);
         self.isa.run(Pack { plan: self, weight, factor, packed });
     }
 
-    /// As [`crate::kernel::Kernel::unpack_gradient`], for whole vectors.
+    /// As [`crate::kernel::Kernel::unpack_gradient`], for one vector or more.
     pub(super) fn unpack(&self, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
         let gradient = TileMut::of_complex(gradient);
         self.isa.run(Unpack { plan: self, sum, gradient });
@@ -146,6 +146,7 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
         let Halves { twiddles, transform, norm, .. } = self.plan;
         let half = transform.len();
         let packed = complex_vectors::<V>(self.packed);
+        let weights: [_; SEQUENCE_VECTORS] = self.weight.parts(2 * V::LANES);
         for (k, twiddle) in twiddles.iter().enumerate() {
             let norm = V::splat(*norm * twiddle[1]);
             let im_norm = match self.factor {
@@ -153,8 +154,8 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
                 Factor::Weight => -norm,
                 Factor::Conjugate => norm,
             };
-            for (i, packed) in packed.chunks_exact_mut(2 * twiddles.len()).enumerate() {
-                let weight = self.weight.skip_lanes(2 * i * V::LANES);
+            for (weight, packed) in weights.iter().zip(packed.chunks_exact_mut(2 * twiddles.len()))
+            {
                 weight.prefetch_complex::<V>(half.saturating_sub(k + PLACES_AHEAD));
                 for (to, bin) in packed[2 * k..].iter_mut().zip([k, half - k]) {
                     let w = weight.complex::<V>(bin);
@@ -177,14 +178,15 @@ impl<T: Element> Algorithm<T> for Unpack<'_, T> {
         let Halves { twiddles, transform, norm, .. } = self.plan;
         let half = transform.len();
         let sums = complex_vectors_of::<V>(self.sum);
+        let mut gradients: [_; SEQUENCE_VECTORS] = self.gradient.parts(2 * V::LANES);
         for (k, twiddle) in twiddles.iter().enumerate() {
             let norm = *norm * twiddle[1];
             let (norm, im_norm) = match k {
                 0 => (V::splat(norm * T::nearest(0.5)), V::splat(T::default())),
                 _ => (V::splat(norm), -V::splat(norm)),
             };
-            for (i, sums) in sums.chunks_exact(2 * twiddles.len()).enumerate() {
-                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
+            for (gradient, sums) in gradients.iter_mut().zip(sums.chunks_exact(2 * twiddles.len()))
+            {
                 for (sum, bin) in sums[2 * k..].iter().zip([k, half - k]) {
                     gradient.set_complex(bin, Complex::new(sum.re * norm, sum.im * im_norm));
                 }

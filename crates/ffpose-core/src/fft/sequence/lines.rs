@@ -63,7 +63,7 @@ impl<T: Element> Lines<T> {
         }
     }
 
-    /// A factor made of `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
+    /// A factor made of `weight` `(bins, lanes, 2)`, of one vector or more, to `packed`, one vector of lanes after the other.
     pub(super) fn pack(&self, weight: ArrayView3<'_, T>, factor: Factor, packed: &mut [T]) {
         match self {
             Self::Even(halves) => halves.pack(weight, factor, packed),
@@ -71,7 +71,7 @@ impl<T: Element> Lines<T> {
         }
     }
 
-    /// As [`crate::kernel::Kernel::unpack_gradient`], for whole vectors.
+    /// As [`crate::kernel::Kernel::unpack_gradient`], for one vector or more.
     pub(super) fn unpack(&self, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
         match self {
             Self::Even(halves) => halves.unpack(sum, gradient),

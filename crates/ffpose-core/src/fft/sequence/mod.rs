@@ -6,7 +6,9 @@
 mod halves;
 mod lines;
 
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
+use std::ops::Range;
+
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use self::lines::Lines;
 use crate::kernel::{Backward, Factor, Kernel, Packing};
@@ -35,7 +37,7 @@ struct SequenceBuffers<'a, T> {
     other: &'a mut [T],
     work: &'a mut [T],
     padded: &'a mut [T],
-    /// A weight, or its gradient, of lanes that are not whole vectors.
+    /// A weight, or its gradient, of fewer lanes than a vector has.
     bins: &'a mut [T],
 }
 
@@ -59,20 +61,13 @@ impl<T: Element> Sequence<T> {
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
         let (work, rest) = rest.split_at_mut(self.lines.work_len());
-        let (padded, rest) = rest.split_at_mut(self.length * self.most());
+        let (padded, rest) = rest.split_at_mut(self.length * self.lanes);
         SequenceBuffers { spectrum, other, work, padded, bins: &mut rest[..self.bins_len()] }
     }
 
-    /// Numbers of a weight of a tile.
+    /// Numbers of a weight of one vector.
     fn bins_len(&self) -> usize {
-        2 * self.most() * (self.length / 2 + 1)
-    }
-
-    /// `room` as a weight `(bins, lanes, 2)`.
-    fn bins<'a>(&self, room: &'a mut [T], lanes: usize) -> ArrayViewMut3<'a, T> {
-        let bins = self.length / 2 + 1;
-        let room = &mut room[..2 * lanes * bins];
-        ArrayViewMut3::from_shape((bins, lanes, 2), room).expect("room for a tile")
+        2 * self.lanes * (self.length / 2 + 1)
     }
 
     /// Numbers of one line of vectors.
@@ -85,36 +80,32 @@ impl<T: Element> Sequence<T> {
         &mut spectrum[..lanes.div_ceil(self.lanes) * self.line_len()]
     }
 
-    /// A sequence `(points, lanes)` to lines; `padded` holds it if its lanes are not whole vectors.
+    /// A sequence `(points, lanes)` to lines; `padded` holds it if its lanes do not fill a vector.
     fn enter<X: Stored<Real = T>>(
         &self,
         image: ArrayView2<'_, X>,
         lines: &mut [T],
         padded: &mut [T],
     ) {
-        let lanes = image.ncols();
-        let whole = lanes.next_multiple_of(self.lanes);
-        if lanes < whole {
-            let image = Tile::dense(views::padded(image, whole, padded), whole);
+        if image.ncols() < self.lanes {
+            let image = Tile::dense(views::padded(image, self.lanes, padded), self.lanes);
             self.isa.run(EnterPoints { plan: self, image, lines });
         } else {
             self.isa.run(EnterPoints { plan: self, image: Tile::new(image), lines });
         }
     }
 
-    /// Lines to a sequence `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
+    /// Lines to a sequence `(points, lanes)`, by way of `padded` if its lanes do not fill a vector.
     fn leave<X: Stored<Real = T>>(
         &self,
         lines: &mut [T],
         image: ArrayViewMut2<'_, X>,
         padded: &mut [T],
     ) {
-        let lanes = image.ncols();
-        let whole = lanes.next_multiple_of(self.lanes);
-        if lanes < whole {
-            let padded = &mut padded[..self.length * whole];
-            self.isa.run(LeavePoints { plan: self, image: TileMut::dense(padded, whole), lines });
-            views::unpadded(padded, whole, image);
+        if image.ncols() < self.lanes {
+            let whole = TileMut::dense(&mut *padded, self.lanes);
+            self.isa.run(LeavePoints { plan: self, image: whole, lines });
+            views::unpadded(padded, self.lanes, image);
         } else {
             self.isa.run(LeavePoints { plan: self, image: TileMut::new(image), lines });
         }
@@ -129,18 +120,16 @@ impl<T: Element> Packing<T> for Sequence<T> {
     fn pack(
         &self,
         weight: ArrayView3<'_, T>,
+        lanes: Range<usize>,
         factor: Factor,
         packed: &mut [T],
         team: &mut Team<'_, T>,
     ) {
-        let lanes = weight.len_of(Axis(1));
-        let whole = lanes.next_multiple_of(self.lanes);
-        let packed = &mut packed[..whole / self.lanes * self.lines.packed_len()];
-        if lanes < whole {
-            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
-            padded.slice_mut(s![.., lanes.., ..]).fill(T::default());
-            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-            self.lines.pack(padded.view(), factor, packed);
+        let packed = &mut packed[..self.packed_len(lanes.len())];
+        let weight = views::bins_of(weight, lanes, self.lanes);
+        if weight.len_of(Axis(1)) < self.lanes {
+            let room = self.scratch(team.scratch()).bins;
+            self.lines.pack(views::padded_bins(weight, self.lanes, room), factor, packed);
         } else {
             self.lines.pack(weight, factor, packed);
         }
@@ -158,7 +147,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 
     fn scratch_len(&self, _: usize) -> usize {
-        let padded = self.length * self.most();
+        let padded = self.length * self.lanes;
         let spectra = 2 * self.vectors * self.line_len();
         slack::<X::Real>() + spectra + self.lines.work_len() + padded + self.bins_len()
     }
@@ -206,16 +195,15 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     fn unpack_gradient(
         &self,
         grad_sum: &[X::Real],
-        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        grad_weight: ArrayViewMut3<'_, X::Real>,
         team: &mut Team<'_, X::Real>,
     ) {
         let lanes = grad_weight.len_of(Axis(1));
-        let whole = lanes.next_multiple_of(self.lanes);
-        let grad_sum = &grad_sum[..whole / self.lanes * self.lines.packed_len()];
-        if lanes < whole {
-            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
-            self.lines.unpack(grad_sum, padded.view_mut());
-            grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
+        let grad_sum = &grad_sum[..self.packed_len(lanes)];
+        if lanes < self.lanes {
+            let mut whole = views::bins(self.scratch(team.scratch()).bins, self.lanes);
+            self.lines.unpack(grad_sum, whole.view_mut());
+            views::unpadded_bins(whole.view(), grad_weight);
         } else {
             self.lines.unpack(grad_sum, grad_weight);
         }
@@ -236,9 +224,9 @@ impl<X: Stored> Algorithm<X::Real> for EnterPoints<'_, X> {
         let (inputs, pitch) = (plan.transform().inputs(), plan.pitch());
         let lines = complex_vectors::<V>(lines);
         let halves = length.is_multiple_of(2);
+        let parts: [_; SEQUENCE_VECTORS] = image.parts(V::LANES);
         for (n, &input) in inputs.iter().enumerate() {
-            for (vector, line) in lines.chunks_exact_mut(pitch).enumerate() {
-                let image = image.skip_lanes(vector * V::LANES);
+            for (line, image) in lines.chunks_exact_mut(pitch).zip(&parts) {
                 line[input] = if halves {
                     image.prefetch(2 * n + SEQUENCE_AHEAD, 2);
                     let [re, im] = image.gather(2 * n, 1);
@@ -267,9 +255,9 @@ impl<X: Stored> Algorithm<X::Real> for LeavePoints<'_, X> {
         let (inputs, pitch) = (plan.transform().inputs(), plan.pitch());
         let lines = complex_vectors::<V>(lines);
         let halves = length.is_multiple_of(2);
+        let mut parts: [_; SEQUENCE_VECTORS] = image.parts(V::LANES);
         for (n, &input) in inputs.iter().enumerate() {
-            for (vector, line) in lines.chunks_exact(pitch).enumerate() {
-                let mut image = image.skip_lanes(vector * V::LANES);
+            for (line, image) in lines.chunks_exact(pitch).zip(&mut parts) {
                 let Complex { re, im } = line[input];
                 if halves {
                     image.reader().prefetch(2 * n + SEQUENCE_AHEAD, 2);

@@ -1,9 +1,10 @@
 //! Pieces share work evenly, weights are packed once, and sums have one order.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use ndarray::{Array3, ArrayD, Axis};
+use ndarray::{Array3, ArrayD};
 
 use super::*;
 use crate::kernel::{Factor, Packing};
@@ -169,12 +170,13 @@ impl Packing<f32> for Counting<'_> {
     fn pack(
         &self,
         weight: ArrayView3<'_, f32>,
+        lanes: Range<usize>,
         factor: Factor,
         packed: &mut [f32],
         team: &mut Team<'_, f32>,
     ) {
-        self.1.fetch_add(weight.len_of(Axis(1)), Ordering::Relaxed);
-        self.0.packing().unwrap().pack(weight, factor, packed, team);
+        self.1.fetch_add(lanes.len(), Ordering::Relaxed);
+        self.0.packing().unwrap().pack(weight, lanes, factor, packed, team);
     }
 }
 

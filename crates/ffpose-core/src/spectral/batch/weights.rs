@@ -90,9 +90,10 @@ impl<X: Number> Batch<'_, X> {
         let rooms = packed.chunks_exact_mut(packing.offset(self.granule, self.lanes_each()));
         let workers = workers.each().zip(rooms);
         parallel::run(self.pool, workers, tiles, |(tile, jobs), (team, packed)| {
-            let packed = &mut packed[..packing.packed_len(self.tiling.lanes_of(tile).len())];
+            let lanes = self.tiling.lanes_of(tile);
+            let packed = &mut packed[..packing.packed_len(lanes.len())];
             if let Some(factor) = factor {
-                packing.pack(self.tiling.bins(weight, tile), factor, packed, team);
+                packing.pack(weight, lanes, factor, packed, team);
             }
             for (part, job) in jobs.into_iter().enumerate() {
                 work(tile * parts + part, job, packed, team);
@@ -112,13 +113,15 @@ impl<X: Number> Batch<'_, X> {
         let lanes = self.share_of_lanes().min(widest);
         if self.shape.lanes <= lanes {
             let packed = &mut packed[..packing.packed_len(self.shape.lanes)];
-            return packing.pack(weight, factor, packed, &mut workers.together());
+            let lanes = 0..self.shape.lanes;
+            return packing.pack(weight, lanes, factor, packed, &mut workers.together());
         }
         let tiling = Tiling::new(self.shape, lanes, 1, 1);
         let jobs = packed.chunks_mut(packing.offset(self.granule, lanes)).enumerate();
         parallel::run(self.pool, workers.each(), jobs, |(tile, packed), team| {
-            let len = packing.packed_len(tiling.lanes_of(tile).len());
-            packing.pack(tiling.bins(weight, tile), factor, &mut packed[..len], team);
+            let lanes = tiling.lanes_of(tile);
+            let packed = &mut packed[..packing.packed_len(lanes.len())];
+            packing.pack(weight, lanes, factor, packed, team);
         });
     }
 }
