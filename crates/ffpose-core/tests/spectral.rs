@@ -330,6 +330,8 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![530, 1, 1024, 1]),
         (Layout::Grid, vec![200, 1, 675, 3]),
         (Layout::Grid, vec![40, 1, 75, 100]),
+        (Layout::Grid, vec![40, 1, 336, 36]), // tiles of three vectors with AVX2
+        (Layout::Grid, vec![60, 1, 200, 17]), // one lane behind whole vectors
         (Layout::Tokens, vec![300, 1000, 2]),
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
@@ -483,6 +485,8 @@ fn half_precision_is_rounded_once<H: Number<Real = f32> + PartialEq + std::fmt::
         (Layout::Grid, vec![1, 14, 14, 150]),
         (Layout::Grid, vec![1, 70, 80, 50]), // one tile, cut in two for two threads
         (Layout::Grid, vec![3, 1, 50, 20]),
+        (Layout::Grid, vec![40, 1, 336, 36]), // tiles of three vectors with AVX2
+        (Layout::Grid, vec![60, 1, 200, 17]), // one lane behind whole vectors
         (Layout::Grid, vec![2, 12, 9, 1]),
         (Layout::Grid, vec![37, 1, 20, 3]), // several images together
         (Layout::Grid, vec![2, 100, 90, 2]), // too large for that

@@ -34,7 +34,7 @@ impl<T: Real> Plan<T> {
         }
         match layout {
             Layout::Grid if 2 * lanes <= isa.lanes::<T>() => {}
-            Layout::Grid if rows == 1 => return Self::Sequence(Sequence::new(isa, columns)),
+            Layout::Grid if rows == 1 => return Self::Sequence(Sequence::new(isa, columns, lanes)),
             Layout::Grid => return Self::Grid(Grid::new(isa, shape, tuning)),
             Layout::Tokens => {
                 if let Some(tokens) = Tokens::new(isa, rows, columns, tuning) {

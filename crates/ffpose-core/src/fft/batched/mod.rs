@@ -62,7 +62,7 @@ impl<T: Element> Batched<T> {
         let lanes = isa.lanes::<T>();
         let whole = Shape { layout: Layout::Grid, lanes, ..shape };
         let inner = match shape.rows {
-            1 => Inner::Sequence(Sequence::new(isa, shape.columns)),
+            1 => Inner::Sequence(Sequence::new(isa, shape.columns, lanes)),
             _ => Inner::Grid(Grid::new(isa, whole, tuning)),
         };
         Self { isa, inner, shape, points: whole.points(), channels: shape.channels(), lanes }

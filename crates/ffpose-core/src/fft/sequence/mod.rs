@@ -42,12 +42,17 @@ struct SequenceBuffers<'a, T> {
 }
 
 impl<T: Element> Sequence<T> {
-    pub(crate) fn new(isa: Isa, length: usize) -> Self {
+    pub(crate) fn new(isa: Isa, length: usize, channels: usize) -> Self {
         let (lanes, lines) = (isa.lanes::<T>(), Lines::new(isa, length));
         let bytes = 2 * lanes * lines.pitch() * size_of::<T>();
         let fits = |vectors: usize| vectors * bytes <= L1_CACHE;
         let half = SEQUENCE_VECTORS / 2;
         let vectors = if fits(half) && !fits(SEQUENCE_VECTORS) { half } else { SEQUENCE_VECTORS };
+        // or one more or less, for a rest that does not fill a vector is copied
+        let has_rest = |vectors: &usize| (1..lanes).contains(&(channels % (vectors * lanes)));
+        let others = [vectors, vectors + 1, vectors - 1].into_iter();
+        let vectors =
+            others.filter(|v| *v <= SEQUENCE_VECTORS).find(|v| !has_rest(v)).unwrap_or(vectors);
         Self { isa, lanes, length, lines, vectors }
     }
 
@@ -141,9 +146,10 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         self.most()
     }
 
-    /// Whole cache lines, as far as a tile has them.
+    /// Whole cache lines, as far as tiles are made of them.
     fn narrowest_tile(&self) -> usize {
-        (LINE_BYTES / size_of::<X>()).next_multiple_of(self.lanes).min(self.most())
+        let line = (LINE_BYTES / size_of::<X>()).next_multiple_of(self.lanes).min(self.most());
+        if self.most().is_multiple_of(line) { line } else { self.lanes }
     }
 
     fn scratch_len(&self, _: usize) -> usize {
