@@ -38,6 +38,7 @@ TOKENS: Sizes = tuple(("tokens", size) for size in ((196, 128), (196, 256), (784
 OTHER: Sizes = (
     ("grid", (10, 10, 96)),
     ("grid", (13, 17, 100)),
+    ("grid", (28, 28, 20)),
     ("grid", (31, 31, 64)),
     ("grid", (40, 28, 112)),
     ("grid", (64, 64, 32)),
@@ -53,6 +54,8 @@ OTHER: Sizes = (
     ("sequence", (197, 32)),
     ("sequence", (200, 64)),
     ("sequence", (512, 128)),
+    ("sequence", (720, 21)),
+    ("sequence", (1024, 12)),
 )
 FEW_CHANNELS: Sizes = (
     ("sequence", (96, 7)),

@@ -61,24 +61,23 @@ impl<T: Element> BinOrder<T> {
         self.hermitian.len() + self.others.len()
     }
 
-    /// The factors at `R` places of one column, `first` and following, from a weight in natural order.
+    /// Gives `to`, in turn, the factor at `R` places of one column, `first` and following, from a weight in natural order.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,
         weight: Tile<'_, T>,
         factor: Factor,
         first: usize,
-    ) -> [Complex<V>; R] {
+        to: &mut impl Factors<V>,
+    ) {
         let conjugate = factor == Factor::Conjugate;
-        let zero = V::splat(T::default());
-        let mut factors = [Complex::new(zero, zero); R];
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
             let places = &self.others[first..first + R];
             let im_scale = if places[0].1 == conjugate { scale } else { -scale };
             for i in 0..R {
                 let z = weight.complex::<V>(places[i].0);
-                factors[i] = Complex::new(z.re * scale, z.im * im_scale);
+                to.take(i, Complex::new(z.re * scale, z.im * im_scale));
             }
         } else {
             let mean = V::splat(self.weight.hermitian);
@@ -87,10 +86,9 @@ impl<T: Element> BinOrder<T> {
             for i in 0..R {
                 let (bin, mirror) = places[i];
                 let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
-                factors[i] = Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * im_mean);
+                to.take(i, Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * im_mean));
             }
         }
-        factors
     }
 
     /// Asks for the weight of a place behind those of the first column: bins are far apart and in no order, so that no processor
@@ -146,6 +144,27 @@ impl<T: Element> BinOrder<T> {
     }
 }
 
+/// What factors are given to, `take` for each place in turn. No closure, as compilers do not inline each of these.
+pub(crate) trait Factors<V> {
+    fn take(&mut self, i: usize, factor: Complex<V>);
+}
+
+/// A spectrum is multiplied.
+impl<V: Vector, const R: usize> Factors<V> for [Complex<V>; R] {
+    #[inline(always)]
+    fn take(&mut self, i: usize, factor: Complex<V>) {
+        self[i] = self[i].times(factor);
+    }
+}
+
+/// Real and imaginary part are written, one point after the other.
+impl<V: Vector> Factors<V> for TileMut<'_, V::Element> {
+    #[inline(always)]
+    fn take(&mut self, i: usize, factor: Complex<V>) {
+        self.scatter::<V, 2>(2 * i, 1, [factor.re, factor.im]);
+    }
+}
+
 struct PackLanes<'a, T> {
     order: &'a BinOrder<T>,
     weight: Tile<'a, T>,
@@ -162,9 +181,13 @@ impl<T: Element> Algorithm<T> for PackLanes<'_, T> {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
                 let weight = self.weight.part(i, 2 * V::LANES);
                 self.order.prefetch::<V>(weight, place + PLACES_AHEAD);
-                let mut packed = TileMut::dense(packed, V::LANES);
-                let [z] = self.order.read::<V, 1>(weight, self.factor, place);
-                packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
+                let mut packed = TileMut::dense(packed, 2 * V::LANES);
+                self.order.read::<V, 1>(
+                    weight,
+                    self.factor,
+                    place,
+                    &mut packed.point(place, V::LANES),
+                );
             }
         }
     }

@@ -129,10 +129,7 @@ impl<T: Element> Pointwise<T> for NaturalProduct<'_, T> {
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
         let weight = self.weight.part(at.vector, 2 * V::LANES);
-        let factors = self.order.read::<V, R>(weight, self.factor, at.place);
-        for i in 0..R {
-            spectrum[i] = spectrum[i].times(factors[i]);
-        }
+        self.order.read::<V, R>(weight, self.factor, at.place, &mut spectrum);
         spectrum
     }
 }

@@ -173,7 +173,13 @@ impl<T: Element> Grid<T> {
             let image = Tile::dense(views::padded(image, self.lanes, padded), self.lanes);
             self.rows.forward(self.isa, image, place, spectrum, work);
         } else {
-            self.rows.forward(self.isa, Tile::new(image), place, spectrum, work);
+            // a last vector that overlaps goes by itself: rows of 56 points took 1.15 times as long with it among the others
+            let (vectors, image) = (image.ncols() / self.lanes, Tile::new(image));
+            let (whole, rest) = spectrum.split_at_mut(vectors * self.columns.len());
+            self.rows.forward(self.isa, image, place, whole, work);
+            if !rest.is_empty() {
+                self.rows.forward(self.isa, image.part(vectors, self.lanes), place, rest, work);
+            }
         }
     }
 
@@ -191,7 +197,13 @@ impl<T: Element> Grid<T> {
             self.rows.inverse(self.isa, spectrum, place, whole, work);
             views::unpadded(padded, self.lanes, image);
         } else {
-            self.rows.inverse(self.isa, spectrum, place, TileMut::new(image), work);
+            let (vectors, mut image) = (image.ncols() / self.lanes, TileMut::new(image));
+            let (whole, rest) = spectrum.split_at_mut(vectors * self.columns.len());
+            if !rest.is_empty() {
+                let image = image.part(vectors, self.lanes);
+                self.rows.inverse(self.isa, rest, place, image, work);
+            }
+            self.rows.inverse(self.isa, whole, place, image, work);
         }
     }
 

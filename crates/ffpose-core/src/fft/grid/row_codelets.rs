@@ -44,7 +44,7 @@ where
                 if far {
                     prefetch::<_, P, Q>(self.image, first, i, vectors);
                 }
-                let image = self.image.part(i, V::LANES);
+                let image = self.image.skip_lanes(i * V::LANES);
                 Row::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
             }
         }
@@ -76,7 +76,7 @@ where
                 if far {
                     prefetch::<_, P, Q>(self.image.reader(), first, i, vectors);
                 }
-                let image = &mut self.image.part(i, V::LANES);
+                let image = &mut self.image.skip_lanes(i * V::LANES);
                 Row::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }

@@ -83,7 +83,7 @@ impl<T: Element> Rows<T> {
                             let ahead = first + GRID_AHEAD.max(2 * width);
                             image.prefetch_share(ahead, 2 * width, i, vectors);
                         }
-                        let image = image.part(i, lanes);
+                        let image = image.skip_lanes(i * lanes);
                         isa.run(EnterPair { inputs, image, first, second, line });
                         transform.forward(line, work);
                         isa.run(SplitPair { outputs, line, spectrum, pitch: place.pitch, places });
@@ -121,7 +121,7 @@ impl<T: Element> Rows<T> {
                             let ahead = first + GRID_AHEAD.max(2 * width);
                             image.reader().prefetch_share(ahead, 2 * width, i, vectors);
                         }
-                        let image = &mut image.part(i, lanes);
+                        let image = &mut image.skip_lanes(i * lanes);
                         isa.run(JoinPair { outputs, line, spectrum, pitch: place.pitch, places });
                         transform.inverse(line, work);
                         isa.run(LeavePair { inputs, image, first, second, line });
