@@ -97,7 +97,8 @@ pub(crate) trait Packing<T>: Sync {
     }
 
     /// Packs a factor made of the weight of one tile, `lanes` of the images; the team's scratches are the kernel's. `weight` has all
-    /// lanes: a tile that does not fill a vector is packed with those before it.
+    /// lanes. A last tile narrower than a vector is packed together with the lanes before it; packed weights and sums have its own
+    /// lanes at the vector's end.
     fn pack(
         &self,
         weight: ArrayView3<'_, T>,

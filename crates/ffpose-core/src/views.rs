@@ -1,4 +1,4 @@
-//! Parts of views of images, for the driver and for kernels that cut a piece further.
+//! Parts of views of images and weights, for the driver and for kernels that cut a piece further.
 
 use std::ops::Range;
 
@@ -36,8 +36,8 @@ pub(crate) fn in_order<I: Iterator>(
     items.into_iter().flatten().map(Some).chain((0..absent).map(|_| None))
 }
 
-/// `view` `(points, lanes)` at the end of `lanes` lanes, of one vector, that begin with zeros, at the start of `room` and in what is
-/// computed in. At the end, for there a last vector has its lanes where it is read together with others ([`crate::simd::Tile::part`]).
+/// `view` `(points, lanes)` in the last of `lanes` lanes, those of a vector, with zeros before it, in `room` and in what is computed in.
+/// Last, because a vector that overlaps the one before it ([`crate::simd::Tile::part`]) has the same lanes there.
 pub(crate) fn padded<'a, X: Stored>(
     view: ArrayView2<'_, X>,
     lanes: usize,

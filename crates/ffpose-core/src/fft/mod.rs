@@ -25,8 +25,8 @@
 //!   (`row_codelets`), else two rows as one complex line (`row_pairs`). [`columns`] takes each column forward,
 //!   through the pointwise operation and back while it is in the L1 cache, and `columns::fused` does so for short columns
 //!   without leaving the registers. `packing` brings the weight to kernel order, tile by tile; `single` does without for an
-//!   image alone, whose weight is read bin by bin. Where channels are no whole vectors, here and in a sequence, the last vector
-//!   overlaps the one before it.
+//!   image alone, whose weight is read bin by bin. Where channels do not fill whole vectors, here and in a sequence, the last
+//!   vector overlaps the one before it.
 //! - **[`sequence`]**: a grid of one row. Even and odd points of a channel are one complex line (`halves`), or an odd number of
 //!   points the real part of one; `lines` has the choice.
 //! - **[`tokens`]**: both axes of one plane, whose sizes have codelets: `X = A B` rows of lines of vectors. Three passes

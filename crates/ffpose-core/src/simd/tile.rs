@@ -254,7 +254,7 @@ impl<'a, T: Stored> TileMut<'a, T> {
         TileMut { start, points, lanes: width, stride, view: PhantomData }
     }
 
-    /// As [`Tile::parts`].
+    /// As [`Tile::parts`]. They may overlap: what is written last stays.
     #[inline(always)]
     pub(crate) fn parts<const N: usize>(&mut self, width: usize) -> [TileMut<'_, T>; N] {
         let (points, stride) = (self.points, self.stride);

@@ -144,7 +144,7 @@ impl<T: Element> BinOrder<T> {
     }
 }
 
-/// What factors are given to, `take` for each place in turn. No closure, as compilers do not inline each of these.
+/// Receives the factors of successive places. A trait, since compilers do not inline every closure.
 pub(crate) trait Factors<V> {
     fn take(&mut self, i: usize, factor: Complex<V>);
 }

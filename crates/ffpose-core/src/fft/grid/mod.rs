@@ -58,7 +58,7 @@ struct GridBuffers<'a, T> {
     other: &'a mut [T],
     work: &'a mut [T],
     padded: &'a mut [T],
-    /// A weight and a gradient of one vector of lanes that is not full.
+    /// A weight and a gradient of fewer lanes than a vector has.
     bins: [&'a mut [T]; 2],
 }
 
@@ -149,7 +149,8 @@ impl<T: Element> Grid<T> {
         self.place(!self.tuning.are_prefetched(bytes, each))
     }
 
-    /// Parts of `lanes` lanes, at most `together` in each: none has fewer than a vector, unless there are fewer.
+    /// Parts of `lanes` lanes, at most `together` in each. None has fewer than a vector, unless there are fewer: the last one may
+    /// overlap the one before it.
     fn parts(&self, lanes: usize, together: usize) -> impl Iterator<Item = Range<usize>> {
         let last = lanes.saturating_sub(self.lanes);
         (0..lanes).step_by(together).map(move |start| start.min(last)..lanes.min(start + together))

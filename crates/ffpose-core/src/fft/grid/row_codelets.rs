@@ -19,7 +19,7 @@ pub(crate) struct Place<'a> {
     pub(crate) far: bool,
 }
 
-/// Rows to columns.
+/// Rows to columns, of the first lanes that fill the vectors of `spectrum`.
 pub(super) struct RowsForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     pub(super) image: Tile<'a, X>,
     pub(super) place: Place<'a>,

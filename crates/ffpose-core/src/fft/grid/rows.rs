@@ -55,7 +55,7 @@ impl<T: Element> Rows<T> {
         }
     }
 
-    /// All rows of `image` to the columns of `spectrum`.
+    /// All rows of `image`, of its first lanes that fill the vectors of `spectrum`, to the columns of that.
     pub(crate) fn forward<X: Stored<Real = T>>(
         &self,
         isa: Isa,

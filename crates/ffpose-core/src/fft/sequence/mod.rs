@@ -20,7 +20,7 @@ use crate::simd::{
 use crate::tuning::{L1_CACHE, SEQUENCE_AHEAD, SEQUENCE_VECTORS};
 use crate::views::{self, BATCH};
 
-/// The plan for sequences of one length.
+/// The plan for sequences of one length and number of channels.
 pub(crate) struct Sequence<T> {
     isa: Isa,
     /// Lanes of a vector.
@@ -48,11 +48,10 @@ impl<T: Element> Sequence<T> {
         let fits = |vectors: usize| vectors * bytes <= L1_CACHE;
         let half = SEQUENCE_VECTORS / 2;
         let vectors = if fits(half) && !fits(SEQUENCE_VECTORS) { half } else { SEQUENCE_VECTORS };
-        // or one more or less, for a rest that does not fill a vector is copied
+        // or three, where that leaves no rest of less than a vector: such a rest is copied
         let has_rest = |vectors: &usize| (1..lanes).contains(&(channels % (vectors * lanes)));
-        let others = [vectors, vectors + 1, vectors - 1].into_iter();
-        let vectors =
-            others.filter(|v| *v <= SEQUENCE_VECTORS).find(|v| !has_rest(v)).unwrap_or(vectors);
+        let three = SEQUENCE_VECTORS - 1;
+        let vectors = [vectors, three].into_iter().find(|v| !has_rest(v)).unwrap_or(vectors);
         Self { isa, lanes, length, lines, vectors }
     }
 
