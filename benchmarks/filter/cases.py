@@ -62,6 +62,7 @@ FEW_CHANNELS: Sizes = (
     ("sequence", (336, 7)),
     ("sequence", (720, 7)),
     ("sequence", (1024, 3)),
+    ("sequence", (1024, 5)),
     ("sequence", (512, 1)),
     ("tokens", (1000, 2)),
 )
