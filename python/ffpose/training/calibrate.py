@@ -112,6 +112,7 @@ def calibrate(
     model: SecondLookNetwork,
     labeled: Iterable[Sample],
     empty: Iterable[Tensor],
+    cut: Iterable[Sample] = (),
     hard: Iterable[Sample] = (),
     symmetry: SymmetryGroup = IDENTITY,
 ) -> Calibration:
@@ -125,7 +126,9 @@ def calibrate(
         model: A network with a second look.
         labeled: Batches of held-out images, as a DataLoader of a `PoseDataset` yields them.
         empty: Standardized batches ``(B, 3, H, W)`` that do not show the object, for the threshold.
-        hard: Batches like ``labeled`` that count for the errors' distribution alone.
+        cut: Batches like ``labeled``, whose objects the border cuts, that count for the errors'
+            distribution alone: the coverage of those of a large truncation determines its growth.
+        hard: Batches of other objects that count for the errors' distribution alone.
         symmetry: Errors are modulo it.
 
     Raises:
@@ -140,7 +143,8 @@ def calibrate(
         absent = [_see(model, images)["in_view"] for images in empty]
         if not seen:
             raise ValueError("labeled: expected images that show the object, got none")
-        sets = [each for each in (seen, _see_all(model, hard, symmetry)) if each]
+        others = [_see_all(model, images, symmetry) for images in (cut, hard)]
+    sets = [each for each in (seen, *others) if each]
     factor = distance_factor(seen["translation"], seen["true_translation"])
     shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
     nearer = truncation_distance(np.concatenate(too_far), np.concatenate(shares))
@@ -149,13 +153,14 @@ def calibrate(
         for each, share in zip(sets, shares, strict=True)
     ]
     translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
-    cut = np.concatenate(shares)
-    mostly = cut >= MOSTLY_CUT
-    mostly[: len(shares[0])] = False  # in these the object is whole, and only its sphere is cut
+    truncation = np.concatenate(shares)
+    # in other images the object is whole, and only its sphere is cut
+    is_cut = np.concatenate([np.full(len(each["in_view"]), each is others[0]) for each in sets])
+    mostly = is_cut & (truncation >= MOSTLY_CUT)
     tails = []
-    one_mode = np.ones((len(cut), 1))
+    one_mode = np.ones((len(truncation), 1))
     for distances, probabilities in ((translation[:, None], one_mode), (rotation, modes)):
-        errors = (distances, 1 - modes[:, 0], cut, probabilities)
+        errors = (distances, 1 - modes[:, 0], truncation, probabilities)
         fitted = fit_tails(*errors)
         if mostly.sum() >= LEAST_MOSTLY_CUT:
             growth = covering_growth(fitted, *(each[mostly] for each in errors))

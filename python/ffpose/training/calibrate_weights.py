@@ -137,8 +137,9 @@ def write_calibrated(
     assert isinstance(model, SecondLookNetwork)
     preprocessing = images.whole.preprocessing
     others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
+    cut = () if images.cut is None else _batches(images.cut)
     hard = chain.from_iterable(map(_batches, images.hard))
-    found = calibrate(model, _batches(images.whole), others, hard, metadata.symmetry)
+    found = calibrate(model, _batches(images.whole), others, cut, hard, metadata.symmetry)
     about: dict[str, Any] = {
         "command": command_of(Path(weights).name, images.config),
         "images": images.about,

@@ -45,15 +45,16 @@ def varied(
 class CalibrationSet(NamedTuple):
     """Images that calibrate weights, with a document for each kind for the header (``about``).
 
-    ``whole`` images of the object; ``hard`` ones, that the border cuts, of randomized scenes and
-    under a low sun, if asked for; and whole images ``(N, H, W, 3)``, uint8, of other spacecraft,
-    which of all without the object are the likest, for the threshold that flags; None where there
-    are none.
+    ``whole`` images of the object; if asked for, those that the border cuts (``cut``), and ``hard``
+    ones, of randomized scenes and under a low sun; and whole images ``(N, H, W, 3)``, uint8, of
+    other spacecraft, which of all without the object are the likest, for the threshold that flags;
+    None where there are none.
     """
 
     config: CalibrationImages
     about: list[dict[str, Any]]
     whole: PoseDataset
+    cut: PoseDataset | None = None
     hard: tuple[PoseDataset, ...] = ()
     strangers: Bytes | None = None
 
@@ -103,10 +104,13 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
     variants = varied(scene, CALIBRATED_SHARE)
     parts = {what: variants[kind] for what, kind in kinds.items()}
     seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}
-    whole, *hard = (
-        open_frames(config.root, part, seeds[what], count, preprocessing, workers=config.workers)
+    images = {
+        kinds[what]: open_frames(
+            config.root, part, seeds[what], count, preprocessing, workers=config.workers
+        )
         for what, (part, _) in parts.items()
-    )
+    }
+    whole, cut = images.pop("whole"), images.pop("cut", None)
     seeds["another spacecraft"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
     strangers = open_strangers(
         config.root, scene, seed, count, preprocessing, workers=config.workers
@@ -115,7 +119,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         {"shows": what, "scene": scene.name, "seed": seed, "count": count}
         for what, seed in seeds.items()
     ]
-    return CalibrationSet(config, about, whole, tuple(hard), strangers)
+    return CalibrationSet(config, about, whole, cut, tuple(images.values()), strangers)
 
 
 def command_of(weights: str, config: CalibrationImages) -> str:
