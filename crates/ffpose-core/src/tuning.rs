@@ -60,6 +60,14 @@ pub(crate) const LONGEST_LINE: usize = 1 << 20;
 /// Numbers of a gradient's sum that one member of a team adds up at a time.
 pub(crate) const ADDED_TOGETHER: usize = 1 << 12;
 
+/// Bytes of images of tokens that a thread takes through a pass together. On Zen 4, 32 images of 8×64 took 0.9 of the time that
+/// they took one by one.
+pub(crate) const TOKENS_AT_ONCE: usize = 1 << 14;
+
+/// Points of a sequence of one channel from which on each goes by itself, if it has codelets as tokens. On Zen 4 one of 256 points took
+/// 0.17 of the time of a vector of them, 32 of them 1.3; of 1024 points 0.06 and 0.84.
+pub(crate) const LONG_SEQUENCE: usize = 1 << 8;
+
 /// What plans and pieces follow from.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tuning {

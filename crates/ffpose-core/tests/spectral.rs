@@ -13,7 +13,7 @@ use ndarray::{ArrayD, Axis};
 use rustfft::num_traits::FromPrimitive;
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 34] = [
+const GRIDS: [[usize; 4]; 37] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -51,8 +51,12 @@ const GRIDS: [[usize; 4]; 34] = [
     [19, 1, 21, 1],
     [20, 6, 5, 2],
     [3, 4, 4, 15],
+    // one channel, as tokens
+    [9, 1, 256, 1],
+    [1, 1, 1024, 1],
+    [2, 49, 64, 1],
 ];
-const TOKENS: [[usize; 3]; 28] = [
+const TOKENS: [[usize; 3]; 33] = [
     [2, 14, 16],
     [9, 520, 2],
     [1, 196, 64],
@@ -78,6 +82,12 @@ const TOKENS: [[usize; 3]; 28] = [
     [1, 30, 134],
     [2, 67, 30], // half spectra of a vector, and of one more
     [1, 33, 32],
+    // one row, or one codelet along X
+    [3, 1, 512],
+    [1, 1, 1024],
+    [1, 1, 2048],
+    [7, 8, 128],
+    [1, 12, 256],
     // several images together
     [18, 50, 2],
     [19, 2, 50],
@@ -334,6 +344,8 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![60, 1, 200, 17]), // one lane behind whole vectors
         (Layout::Tokens, vec![300, 1000, 2]),
         (Layout::Tokens, vec![37, 70, 128]),
+        (Layout::Tokens, vec![37, 8, 256]),
+        (Layout::Grid, vec![70, 1, 512, 1]),
         (Layout::Tokens, vec![10, 151, 251]),
         (Layout::Tokens, vec![1, 784, 512]), // one image, shared by threads
         (Layout::Tokens, vec![1, 151, 251]), // the same by squares of vectors
@@ -490,6 +502,8 @@ fn half_precision_is_rounded_once<H: Number<Real = f32> + PartialEq + std::fmt::
         (Layout::Grid, vec![2, 12, 9, 1]),
         (Layout::Grid, vec![37, 1, 20, 3]), // several images together
         (Layout::Grid, vec![2, 100, 90, 2]), // too large for that
+        (Layout::Grid, vec![19, 1, 512, 1]),
+        (Layout::Tokens, vec![9, 8, 128]),
         (Layout::Tokens, vec![19, 30, 2]),
         (Layout::Tokens, vec![3, 28, 37]),
         (Layout::Tokens, vec![1, 49, 64]),

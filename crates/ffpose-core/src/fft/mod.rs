@@ -29,11 +29,12 @@
 //!   vector overlaps the one before it.
 //! - **[`sequence`]**: a grid of one row. Even and odd points of a channel are one complex line (`halves`), or an odd number of
 //!   points the real part of one; `lines` has the choice.
-//! - **[`tokens`]**: both axes of one plane, whose sizes have codelets: `X = A B` rows of lines of vectors. Three passes
-//!   (`passes`), on one image or several (`images`): `lines` along Y without the lanes and `blocks` over `A`; for each step
-//!   (`steps`) `blocks` over `B`, then `groups`, which transposes squares of vectors for the transform across lanes, with the
-//!   product (`pointwise`) between; and back. It reads the weight in natural order (`weight`); `gradient` brings the sums there.
-//! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for grid or sequence.
+//! - **[`tokens`]**: both axes of one plane, tokens or a grid of one channel, whose sizes have codelets: `X = A B` rows of lines of
+//!   vectors. Three passes (`passes`), on one image or several (`images`): `lines` along Y without the lanes and `blocks` over `A`;
+//!   for each step (`steps`) `blocks` over `B`, then `groups`, which transposes squares of vectors for the transform across lanes,
+//!   with the product (`pointwise`) between; and back. An image of one row, as a long sequence of one channel, goes through all of
+//!   them by itself (`rows`). The weight is read in natural order (`weight`); `gradient` brings the sums there.
+//! - **[`batched`]**: fewer channels than lanes otherwise. Images are copied side by side to fill vectors for grid or sequence.
 //! - **[`planes`]**: all else. Other tokens and large images of few channels go `across` vectors, with squares of vectors transposed
 //!   between rows and columns; double precision, machines without vectors, images too small for squares and very long lines `along`
 //!   memory, by realfft and rustfft.

@@ -7,7 +7,7 @@ use super::sequence::Sequence;
 use super::tokens::Tokens;
 use crate::kernel::Kernel;
 use crate::simd::{Isa, Stored};
-use crate::tuning::Tuning;
+use crate::tuning::{LONG_SEQUENCE, Tuning};
 use crate::{Layout, Real, Shape};
 
 /// The kernel of one shape, planned.
@@ -29,20 +29,27 @@ impl<T: Real> Plan<T> {
         if !isa.has_vectors::<T>() {
             return along();
         }
-        if batched::pays::<T>(isa, shape, tuning) {
+        let together = batched::pays::<T>(isa, shape, tuning);
+        let is_long = rows == 1 && columns >= LONG_SEQUENCE;
+        // one channel is a plane of tokens in either layout
+        if shape.channels() == 1
+            && (!together || is_long)
+            && let Some(tokens) = Tokens::new(isa, rows, columns, tuning)
+        {
+            return Self::Tokens(tokens);
+        }
+        if together {
             return Self::Batched(Batched::new(isa, shape, tuning));
         }
         match layout {
             Layout::Grid if 2 * lanes <= isa.lanes::<T>() => {}
             Layout::Grid if rows == 1 => return Self::Sequence(Sequence::new(isa, columns, lanes)),
             Layout::Grid => return Self::Grid(Grid::new(isa, shape, tuning)),
-            Layout::Tokens => {
-                if let Some(tokens) = Tokens::new(isa, rows, columns, tuning) {
-                    return Self::Tokens(tokens);
-                }
-            }
+            Layout::Tokens => {}
         }
-        match Across::new(isa, shape) {
+        // a band of rows that half the lanes hold would be half empty
+        let narrow = isa.narrower().filter(|narrow| rows <= 2 * narrow.lanes::<T>());
+        match Across::new(narrow.unwrap_or(isa), shape) {
             Some(across) => Self::Across(Planes::new(shape, across)),
             None => along(),
         }

@@ -82,6 +82,15 @@ impl Isa {
         })
     }
 
+    /// The one whose vectors have half the lanes, if the machine has it.
+    pub(crate) fn narrower(self) -> Option<Self> {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 if cfg!(feature = "avx2") => Some(Self(Kind::Avx2)),
+            _ => None,
+        }
+    }
+
     /// The one that every machine has.
     pub(crate) fn scalar() -> Self {
         Self(Kind::Scalar)

@@ -24,12 +24,12 @@ macro_rules! with_codelet {
     (line $length:expr, ($p:ident, $q:ident, $rows:ident) => $run:expr, _ => $otherwise:expr) => {
         $crate::fft::codelets::with_codelet!(@three $length, $p, $q, $rows, $run, $otherwise,
             4 => 4 1 2, 8 => 8 1 4, 16 => 4 4 2, 24 => 8 3 4, 32 => 4 8 2, 48 => 16 3 8,
-            64 => 8 8 4)
+            64 => 8 8 4, 128 => 16 8 8)
     };
     // a factor of the rows of tokens: `Dft<P>`, then `Dft<Q>`, coprime
     (factor $length:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
         $crate::fft::codelets::with_codelet!(@two $length, $p, $q, $run, $otherwise,
-            7 => 1 7, 8 => 1 8, 12 => 3 4, 14 => 7 2, 16 => 1 16, 28 => 7 4, 48 => 3 16)
+            1 => 1 1, 7 => 1 7, 8 => 1 8, 12 => 3 4, 14 => 7 2, 16 => 1 16, 28 => 7 4, 48 => 3 16)
     };
 
     (@one $length:expr, $a:ident, $run:expr, $otherwise:expr, $($a_of:literal)*) => {

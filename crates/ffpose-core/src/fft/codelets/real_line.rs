@@ -6,6 +6,9 @@
 use super::{Codelet, Dft, RealDft, TwoReal, times_root, unroll};
 use crate::simd::{Complex, Stored, Tile, TileMut, Vector, gather, gather_at, scatter, scatter_at};
 
+/// Parts of a turn that twiddles are whole numbers of: the longest line of powers of two.
+const TURN: usize = 128;
+
 /// A line of `P Q` in `ROWS` rows. Slot `s Q + k` is element `k` of row `s`, as the codelets leave it; or, `IN_ORDER`, slot `k` is
 /// frequency `k`.
 pub(crate) struct RealLine<const P: usize, const Q: usize, const ROWS: usize, const IN_ORDER: bool>;
@@ -106,7 +109,7 @@ where
             let mut line = gather::<_, Q>(work, (row - 1) * Q, 1);
             if !Self::COPRIME {
                 for q in 1..Q {
-                    line[q] = times_root::<V, 64>(line[q], Self::turns(row, q));
+                    line[q] = times_root::<V, TURN>(line[q], Self::turns(row, q));
                 }
             }
             Self::put(spectrum, position, pitch, row, <Codelet as Dft<Q>>::dft(line));
@@ -132,7 +135,7 @@ where
                 let mut line = <Codelet as Dft<Q>>::idft(line);
                 if !Self::COPRIME {
                     for q in 1..Q {
-                        line[q] = times_root::<V, 64>(line[q].swap(), Self::turns(row, q)).swap();
+                        line[q] = times_root::<V, TURN>(line[q].swap(), Self::turns(row, q)).swap();
                     }
                 }
                 scatter(work, (row - 1) * Q, 1, line);
@@ -154,10 +157,10 @@ where
         });
     }
 
-    /// The twiddle of an element, in parts of 64 of a turn.
+    /// The twiddle of an element, in parts of a turn.
     #[inline(always)]
     const fn turns(row: usize, q: usize) -> usize {
-        64 / Self::LENGTH * q * <Codelet as RealDft<P, ROWS>>::FREQUENCIES[row]
+        TURN / Self::LENGTH * q * <Codelet as RealDft<P, ROWS>>::FREQUENCIES[row]
     }
 
     /// Writes the elements of a row to their slots.

@@ -158,24 +158,38 @@ impl<T: Element> Tokens<T> {
         scratch: &mut [T],
     ) {
         let TokensBuffers { block, other, work } = self.scratch(scratch);
-        let product =
-            || weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.shape, weight)));
         for (mut rows, x) in images {
             self.gather(step, &rows, block, work);
-            if let (Some(x), Some(sum)) = (x, sum.as_deref_mut()) {
+            let sum = x.zip(sum.as_deref_mut()).map(|(x, sum)| {
                 self.gather(step, &x, other, work);
-                let x = Block { vectors: &mut *other, pitch: self.shape.pitch() };
-                let accumulate = GroupAccumulate { x, sum };
-                match product() {
-                    Some(product) => self.filter(step, block, (accumulate, product)),
-                    None => self.filter(step, block, accumulate),
-                }
-            } else if let Some(product) = product() {
-                self.filter(step, block, product);
-            }
+                (&mut *other, sum)
+            });
+            self.filter_backward(step, block, sum, weight);
             if weight.is_some() {
                 self.put(block, &mut rows, work);
             }
+        }
+    }
+
+    /// The spectrum of a block times the conjugate weight, if there is one; a sum grows by the product with that of the block `x`.
+    pub(super) fn filter_backward(
+        &self,
+        step: &Step,
+        block: &mut [T],
+        sum: Option<(&mut [T], &mut [T])>,
+        weight: Option<&[T]>,
+    ) {
+        let product =
+            weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.shape, weight)));
+        let accumulate = sum.map(|(vectors, sum)| {
+            let x = Block { vectors, pitch: self.shape.pitch() };
+            GroupAccumulate { x, sum }
+        });
+        match (accumulate, product) {
+            (Some(accumulate), Some(product)) => self.filter(step, block, (accumulate, product)),
+            (Some(accumulate), None) => self.filter(step, block, accumulate),
+            (None, Some(product)) => self.filter(step, block, product),
+            (None, None) => {}
         }
     }
 

@@ -34,13 +34,14 @@ mod images;
 mod lines;
 mod passes;
 mod pointwise;
+mod rows;
 mod steps;
 mod twiddles;
 mod weight;
 
 use std::collections::VecDeque;
 
-use ndarray::{ArrayView3, ArrayViewMut3};
+use ndarray::{ArrayBase, ArrayView3, ArrayViewMut3, Ix3, RawData};
 
 use self::images::{BackwardImage, Context, SumPart};
 use self::steps::Step;
@@ -49,7 +50,7 @@ use crate::fft::codelets::{has_codelet, twiddle};
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Aligned, Complex, Element, Isa, Stored, slack};
-use crate::tuning::Tuning;
+use crate::tuning::{TOKENS_AT_ONCE, Tuning};
 use crate::views::{BATCH, in_order};
 
 /// The plan for images `(X, Y)`.
@@ -82,7 +83,7 @@ impl<T: Element> Tokens<T> {
         if !width.is_multiple_of(lanes) || !has_codelet!(line width / lanes) {
             return None;
         }
-        let factors = factors(points)?;
+        let factors = factors(points, width)?;
         let slots = width / lanes / 2;
         let shape = TokenShape { points, width, slots };
         // a power of two that divides both
@@ -111,6 +112,12 @@ impl<T: Element> Tokens<T> {
         step.rows.len() * self.shape.width
     }
 
+    /// Images of tokens, or of one channel of a grid, as those of tokens.
+    fn images<S: RawData>(&self, images: ArrayBase<S, Ix3>) -> ArrayBase<S, Ix3> {
+        let dim = (images.len_of(BATCH), self.shape.points, self.shape.width);
+        images.into_shape_with_order(dim).expect("whole images without gaps")
+    }
+
     /// Numbers of the spectrum of an image.
     fn spectrum_len(&self) -> usize {
         self.shape.points * self.shape.width
@@ -119,6 +126,11 @@ impl<T: Element> Tokens<T> {
     /// Bytes of an image as it is stored.
     fn image_bytes<X>(&self) -> usize {
         self.spectrum_len() * size_of::<X>()
+    }
+
+    /// Images that each member of a team takes through a pass before the next pass.
+    fn images_at_once(&self) -> usize {
+        (TOKENS_AT_ONCE / self.image_bytes::<T>()).max(1)
     }
 
     /// The parts of a sum that belong to each step.
@@ -140,7 +152,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 
     fn scratch_len(&self, _: usize) -> usize {
-        2 * self.spectrum_len() + self.member_len()
+        2 * self.images_at_once() * self.spectrum_len() + self.member_len()
     }
 
     /// The product reads the weight in natural order.
@@ -157,26 +169,33 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         &self,
         x: ArrayView3<'_, X>,
         weight: &[X::Real],
-        mut y: ArrayViewMut3<'_, X>,
+        y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let members = team.members();
-        let (spectra, mut team) = team.share(self.spectrum_len());
+        let (x, mut y) = (self.images(x), self.images(y));
+        if self.shape.points == 1 {
+            return self.forward_rows(x.outer_iter().zip(y.outer_iter_mut()), weight, team);
+        }
+        let at_once = team.members() * self.images_at_once();
+        let (spectra, mut team) = team.share(self.images_at_once() * self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let mut images = x.outer_iter().zip(y.outer_iter_mut()).peekable();
         while images.peek().is_some() {
-            let together: Vec<_> = images.by_ref().take(members).collect();
+            let together: Vec<_> = images.by_ref().take(at_once).collect();
             let context = Context { spectra: &mut *spectra, far, team: &mut team };
             self.forward_images(together, weight, context);
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, weight, mut grad_x, grad_sum, images_each } = pass;
+        let Backward { grad, x, weight, grad_x, grad_sum, images_each } = pass;
+        let (grad, x) = (self.images(grad), self.images(x));
+        let mut grad_x = grad_x.map(|grad_x| self.images(grad_x));
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
-        let (spectra, mut team) = team.share(2 * self.spectrum_len());
+        let at_once = members * self.images_at_once();
+        let (spectra, mut team) = team.share(2 * self.images_at_once() * self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let count = x.len_of(BATCH);
@@ -192,10 +211,13 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
                 (images.collect::<VecDeque<_>>(), sum)
             })
             .collect();
+        if self.shape.points == 1 {
+            return self.backward_rows(parts, weight, &mut team);
+        }
         // as many parts at a time as there are members, and as many images of each
         let parts_each = parts.len().div_ceil(parts.len().div_ceil(members));
         for parts in parts.chunks_mut(parts_each) {
-            let images_each = (members / parts.len()).max(1);
+            let images_each = (at_once / parts.len()).max(1);
             while !parts[0].0.is_empty() {
                 let round = parts.iter_mut().map(|(images, sum)| {
                     let images = images.drain(..images_each.min(images.len()));
@@ -216,6 +238,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         grad_weight: ArrayViewMut3<'_, X::Real>,
         team: &mut Team<'_, X::Real>,
     ) {
+        let dim = (self.shape.points, self.shape.half(), 2);
+        let grad_weight = grad_weight.into_shape_with_order(dim).expect("whole rows of bins");
         let steps = self.steps.iter().zip(self.parts(grad_sum));
         let jobs = steps.zip(self.gradients_of_steps(grad_weight));
         team.run(jobs, |((step, sum), mut gradient), _| self.unpack(step, sum, &mut gradient));
@@ -226,9 +250,11 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 }
 
-/// `X = A B` with codelets for both, as near to a square as can be.
-fn factors(points: usize) -> Option<[usize; 2]> {
+/// `X = A B` with codelets for both, as near to a square as can be. Where `A` is 1, the pass over it is a copy, and what fills the
+/// registers is all of X: that pays for rows that are long against it.
+fn factors(points: usize, width: usize) -> Option<[usize; 2]> {
     let pairs = (1..=points.isqrt()).rev().map(|a| [a, points / a]);
     let has_codelets = |&[a, b]: &[usize; 2]| has_codelet!(factor a) && has_codelet!(factor b);
-    pairs.filter(|[a, b]| a * b == points).find(has_codelets)
+    let pays = |&[a, _]: &[usize; 2]| a > 1 || 5 * points <= 2 * width;
+    pairs.filter(|[a, b]| a * b == points).find(|pair| has_codelets(pair) && pays(pair))
 }

@@ -143,6 +143,13 @@ impl<T: Element> Tokens<T> {
             let (image, block) = (Tile::new(rows.view()), Block { vectors, pitch });
             image_to_block::<T, false>(self.isa, image, &[], block, work);
         }
+        self.fill(step, block);
+    }
+
+    /// Adds to the rows of a step its copies and fillers.
+    #[inline(always)]
+    pub(super) fn fill(&self, step: &Step, block: &mut [T]) {
+        let row = 2 * self.lanes * self.shape.pitch();
         for &(from, to) in &step.copies {
             block.copy_within(from * row..(from + 1) * row, to * row);
         }

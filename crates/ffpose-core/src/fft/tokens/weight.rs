@@ -20,7 +20,7 @@ impl TokenShape {
     }
 
     /// Columns of a weight.
-    fn half(self) -> usize {
+    pub(super) fn half(self) -> usize {
         self.width / 2 + 1
     }
 
