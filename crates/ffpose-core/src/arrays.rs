@@ -28,16 +28,10 @@ pub(crate) fn finite_rows_of<'a, T: Real, const N: usize>(
         return Err(Error::shape(name, &expected, array.shape()));
     }
     let rows = rows_of(name, array).map_err(|_| Error::shape(name, &expected, array.shape()))?;
-    Ok(rows.enumerate().map(move |(index, row)| all_finite(name, index, row)))
-}
-
-fn all_finite<const N: usize>(
-    name: &'static str,
-    index: usize,
-    row: [f64; N],
-) -> Result<[f64; N], Error> {
-    let bad = row.into_iter().find(|value| !value.is_finite());
-    bad.map_or(Ok(row), |got| Err(Error::NotFinite { name, row: index, got }))
+    Ok(rows.enumerate().map(move |(index, row)| {
+        let bad = row.into_iter().find(|value| !value.is_finite());
+        bad.map_or(Ok(row), |got| Err(Error::NotFinite { name, row: index, got }))
+    }))
 }
 
 /// An array `(..., N)` of rounded rows, with the leading axes of `like (..., M)`.

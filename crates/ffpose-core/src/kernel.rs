@@ -26,7 +26,7 @@ use crate::simd::Stored;
 /// Every image is treated by itself: its result does not depend on its neighbors, so that any split of a batch gives
 /// the same bits.
 pub(crate) trait Kernel<X: Stored>: Send + Sync {
-    /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.
+    /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y, more than the one lane of a grid.
     fn tile(&self) -> usize;
 
     /// Least lanes of a view, but for the last tile: tiles are made of such, where wider ones would make too few pieces.

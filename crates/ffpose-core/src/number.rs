@@ -6,7 +6,7 @@ use ndarray::{ArrayView3, ArrayViewMut3};
 use crate::Isa;
 use crate::fft::{Plan, Planned};
 use crate::kernel::Kernel;
-use crate::simd::{Bf16, F16, Narrow, Stored, Widen};
+use crate::simd::{Bf16, Convert, F16, Stored};
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
 pub trait Number: Default + Stored<Real: Planned> + 'static {
@@ -39,11 +39,7 @@ pub(crate) fn read<'a, N: Number>(
     let numbers = weight.to_slice().expect("a weight has no gaps");
     let numbers = if N::HALF {
         let wide = &mut wide[..numbers.len()];
-        if isa.has_vectors::<N::Real>() {
-            isa.run(Widen(numbers, wide));
-        } else {
-            wide.iter_mut().zip(numbers).for_each(|(to, from)| *to = from.widened());
-        }
+        convert(isa, numbers, wide);
         &*wide
     } else {
         cast_slice(numbers)
@@ -66,9 +62,13 @@ pub(crate) fn write<N: Number>(
     }
     let wide = &mut wide[..numbers.len()];
     compute(ArrayViewMut3::from_shape(dim, &mut *wide).expect("as many numbers"));
-    if isa.has_vectors::<N::Real>() {
-        isa.run(Narrow(wide, numbers));
+    convert(isa, wide, numbers);
+}
+
+fn convert<A: Stored, B: Stored<Real = A::Real>>(isa: Isa, from: &[A], to: &mut [B]) {
+    if isa.has_vectors::<A::Real>() {
+        isa.run(Convert(from, to));
     } else {
-        numbers.iter_mut().zip(wide).for_each(|(to, from)| *to = N::nearest_to(*from));
+        to.iter_mut().zip(from).for_each(|(to, from)| *to = B::nearest_to(from.widened()));
     }
 }

@@ -60,7 +60,11 @@ pub(crate) const LONGEST_LINE: usize = 1 << 20;
 /// Numbers of a gradient's sum that one member of a team adds up at a time.
 pub(crate) const ADDED_TOGETHER: usize = 1 << 12;
 
-/// Bytes of images of tokens that a thread takes through a pass together. On Zen 4, 32 images of 8×64 took 0.9 of the time that
+/// The most rows of tokens to the columns that one codelet takes along X, as a fraction. On Zen 4 28×64 and 48×64 took 1.05 to 1.25 of
+/// the time of squares of vectors, 28×128 and 48×128 0.77 to 0.99, longer rows less.
+pub(crate) const CODELET_ROWS: [usize; 2] = [5, 2];
+
+/// Bytes of images of tokens, as they are computed with, that a thread takes through a pass together. On Zen 4, 32 images of 8×64 took 0.9 of the time that
 /// they took one by one.
 pub(crate) const TOKENS_AT_ONCE: usize = 1 << 14;
 
@@ -101,7 +105,7 @@ pub(crate) struct Tuning {
 
     /// Points of a plane, for each channel, up to which images of few channels are filtered several together. One alone takes as
     /// long as all of them: of sequences of up to these lengths a batch of 32 took a third to a fifth of the time of rustfft
-    /// along the lines, a single one of the longest twice as long.
+    /// along the lines, a single one of the longest twice as long. ([`LONG_SEQUENCE`] is for those of one channel with codelets.)
     pub(crate) batched_plane: usize,
     /// The same of sequences and tokens.
     pub(crate) batched_sequence: usize,

@@ -346,6 +346,7 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![37, 8, 256]),
         (Layout::Grid, vec![70, 1, 512, 1]),
+        (Layout::Grid, vec![30, 49, 128, 1]),
         (Layout::Tokens, vec![10, 151, 251]),
         (Layout::Tokens, vec![1, 784, 512]), // one image, shared by threads
         (Layout::Tokens, vec![1, 151, 251]), // the same by squares of vectors
@@ -587,6 +588,9 @@ fn a_gradient_is_the_same_alone() {
         (Layout::Grid, vec![1, 7, 7, 150]),
         (Layout::Tokens, vec![2, 196, 64]),
         (Layout::Tokens, vec![1, 196, 64]),
+        (Layout::Tokens, vec![2, 1, 512]),
+        (Layout::Tokens, vec![6, 8, 128]),
+        (Layout::Grid, vec![5, 49, 64, 1]),
     ];
     for (layout, dim) in cases {
         let shape = Shape::of_images(layout, &dim).unwrap();

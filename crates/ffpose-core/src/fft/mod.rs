@@ -52,7 +52,7 @@
 //!
 //! # Where to add
 //!
-//! - *An instruction set*: a vector type in `simd`; its `Kind` in `simd::isa` with `available`, `name`, a way into an algorithm
+//! - *An instruction set*: a vector type in `simd`; its `Kind` in `simd::isa` with `available`, `name`, `narrower`, a way into an algorithm
 //!   (`Entries`) and the arms of both element types; a feature in `Cargo.toml`, handed on by `ffpose-py` and `ffpose-ort`;
 //!   `tests/disassembly`, which checks its machine code.
 //! - *An element type* to store: [`crate::simd::Stored`] and [`crate::Number`], the loads and stores of `Vector`; `with_dtype!`

@@ -157,40 +157,21 @@ fn upper_half(bits: u32) -> u16 {
     (bits >> 16) as u16
 }
 
-/// Elements as those of vectors, as many.
-pub(crate) struct Widen<'a, H: Stored>(pub(crate) &'a [H], pub(crate) &'a mut [H::Real]);
+/// Elements as those of another type, rounded, as many.
+pub(crate) struct Convert<'a, A, B>(pub(crate) &'a [A], pub(crate) &'a mut [B]);
 
-impl<H: Stored> Algorithm<H::Real> for Widen<'_, H> {
+impl<A: Stored, B: Stored<Real = A::Real>> Algorithm<A::Real> for Convert<'_, A, B> {
     #[inline(always)]
-    fn run<V: Vector<Element = H::Real>>(self) {
+    fn run<V: Vector<Element = A::Real>>(self) {
         let Self(from, to) = self;
         assert_eq!(from.len(), to.len());
         let whole = from.len() - from.len() % V::LANES;
         for first in (0..whole).step_by(V::LANES) {
             // SAFETY: `LANES` elements follow in both, which are as long (checked above).
-            unsafe { H::load::<V>(from.as_ptr().add(first)).store(to.as_mut_ptr().add(first)) };
+            unsafe { B::store(A::load::<V>(from.as_ptr().add(first)), to.as_mut_ptr().add(first)) };
         }
         for (from, to) in from[whole..].iter().zip(&mut to[whole..]) {
-            *to = from.widened();
-        }
-    }
-}
-
-/// Elements of vectors, rounded, as many.
-pub(crate) struct Narrow<'a, H: Stored>(pub(crate) &'a [H::Real], pub(crate) &'a mut [H]);
-
-impl<H: Stored> Algorithm<H::Real> for Narrow<'_, H> {
-    #[inline(always)]
-    fn run<V: Vector<Element = H::Real>>(self) {
-        let Self(from, to) = self;
-        assert_eq!(from.len(), to.len());
-        let whole = from.len() - from.len() % V::LANES;
-        for first in (0..whole).step_by(V::LANES) {
-            // SAFETY: `LANES` elements follow in both, which are as long (checked above).
-            unsafe { H::store(V::load(from.as_ptr().add(first)), to.as_mut_ptr().add(first)) };
-        }
-        for (&from, to) in from[whole..].iter().zip(&mut to[whole..]) {
-            *to = H::nearest_to(from);
+            *to = B::nearest_to(from.widened());
         }
     }
 }
@@ -250,9 +231,9 @@ mod tests {
     /// Every value, its neighbors in single precision and the midpoints, in vectors as one by one.
     fn vectors_convert_as_numbers_do<H: Stored<Real = f32>>(half: impl Fn(u16) -> H) {
         let halves: Vec<_> = (0..=u16::MAX).chain([7; 5]).map(&half).collect(); // five: no whole vector
-        let mut wide = vec![0.0; halves.len()];
+        let mut wide = vec![0.0_f32; halves.len()];
         for isa in Isa::available().into_iter().filter(|isa| isa.has_vectors::<f32>()) {
-            isa.run(Widen(&halves, &mut wide));
+            isa.run(Convert(&halves, &mut wide));
             for (&half, &wide) in halves.iter().zip(&wide) {
                 let one = half.widened();
                 assert!(one.to_bits() == wide.to_bits() || one.is_nan() && wide.is_nan());
@@ -268,7 +249,7 @@ mod tests {
             let numbers = wide.windows(2).flat_map(near).chain(nans.repeat(9)).chain(infinite);
             let numbers: Vec<_> = numbers.chain(any).collect();
             let mut narrowed = vec![half(0); numbers.len()];
-            isa.run(Narrow(&numbers, &mut narrowed));
+            isa.run(Convert(&numbers, &mut narrowed));
             for (&number, narrowed) in numbers.iter().zip(&narrowed) {
                 let (one, narrowed) = (H::nearest_to(number).widened(), narrowed.widened());
                 assert_eq!(one.is_nan(), number.is_nan());

@@ -65,7 +65,7 @@ impl Isa {
         CURRENT
             .get_or_init(|| match std::env::var_os(VARIABLE) {
                 Some(name) if !name.is_empty() => Self::named(&name.to_string_lossy()),
-                _ => Ok(Self::available().last().copied().unwrap_or_else(Self::scalar)),
+                _ => Ok(Self::available().last().copied().unwrap_or(Self(Kind::Scalar))),
             })
             .clone()
     }
@@ -89,11 +89,6 @@ impl Isa {
             Kind::Avx512 if cfg!(feature = "avx2") => Some(Self(Kind::Avx2)),
             _ => None,
         }
-    }
-
-    /// The one that every machine has.
-    pub(crate) fn scalar() -> Self {
-        Self(Kind::Scalar)
     }
 
     /// `scalar`, `avx2`, `avx512` or `neon`.

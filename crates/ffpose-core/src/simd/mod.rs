@@ -28,8 +28,8 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 pub(crate) use cache::{fetches_ahead, l2_cache};
 pub(crate) use complex::{Complex, joined, mirrored, parts};
+pub(crate) use half::Convert;
 pub use half::{Bf16, F16, Stored};
-pub(crate) use half::{Narrow, Widen};
 pub use isa::{Isa, Loops};
 pub(crate) use memory::{
     Aligned, LINE_BYTES, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,

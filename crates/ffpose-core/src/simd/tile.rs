@@ -54,13 +54,8 @@ impl<'a, T: Stored> Tile<'a, T> {
     /// `slice` as points of `lanes` elements without gaps.
     #[inline(always)]
     pub(crate) fn dense(slice: &'a [T], lanes: usize) -> Self {
-        Self {
-            start: slice.as_ptr(),
-            points: slice.len() / lanes,
-            lanes,
-            stride: lanes,
-            view: PhantomData,
-        }
+        let (start, points) = (slice.as_ptr(), slice.len() / lanes);
+        Self { start, points, lanes, stride: lanes, view: PhantomData }
     }
 
     /// The first `LANES` lanes of the points `first`, `first + step`, ...
@@ -224,13 +219,8 @@ impl<'a, T: Stored> TileMut<'a, T> {
     /// `slice` as points of `lanes` elements without gaps.
     #[inline(always)]
     pub(crate) fn dense(slice: &'a mut [T], lanes: usize) -> Self {
-        Self {
-            start: slice.as_mut_ptr(),
-            points: slice.len() / lanes,
-            lanes,
-            stride: lanes,
-            view: PhantomData,
-        }
+        let (start, points) = (slice.as_mut_ptr(), slice.len() / lanes);
+        Self { start, points, lanes, stride: lanes, view: PhantomData }
     }
 
     /// This tile without its first lanes.
@@ -276,13 +266,8 @@ impl<'a, T: Stored> TileMut<'a, T> {
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {
-        Tile {
-            start: self.start,
-            points: self.points,
-            lanes: self.lanes,
-            stride: self.stride,
-            view: PhantomData,
-        }
+        let Self { start, points, lanes, stride, .. } = *self;
+        Tile { start, points, lanes, stride, view: PhantomData }
     }
 
     /// Writes the first `LANES` lanes of the points `first`, `first + step`, ...

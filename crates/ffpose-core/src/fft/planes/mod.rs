@@ -9,7 +9,7 @@ mod along;
 
 use std::ops::Range;
 
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
+use ndarray::{ArrayBase, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Ix2, RawData};
 
 pub(crate) use self::across::Across;
 pub(crate) use self::along::Along;
@@ -91,13 +91,7 @@ impl<P> Planes<P> {
     }
 
     /// An image `(points, lanes)` by rows.
-    fn by_rows<'a, X>(&self, image: ArrayView2<'a, X>) -> ArrayView2<'a, X> {
-        let dim = (self.shape.rows, self.shape.columns * self.shape.channels());
-        image.into_shape_with_order(dim).expect("an image has no gaps")
-    }
-
-    /// As [`by_rows`](Self::by_rows), to write.
-    fn by_rows_mut<'a, X>(&self, image: ArrayViewMut2<'a, X>) -> ArrayViewMut2<'a, X> {
+    fn by_rows<S: RawData>(&self, image: ArrayBase<S, Ix2>) -> ArrayBase<S, Ix2> {
         let dim = (self.shape.rows, self.shape.columns * self.shape.channels());
         image.into_shape_with_order(dim).expect("an image has no gaps")
     }
@@ -153,7 +147,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.spectra.enter(self.by_rows(x), spectra, &mut team);
             self.spectra.filter_columns(spectra, Some(packed), None, &mut team);
-            self.spectra.leave(spectra, self.by_rows_mut(y), &mut team);
+            self.spectra.leave(spectra, self.by_rows(y), &mut team);
         }
     }
 
@@ -172,7 +166,7 @@ impl<X: Stored<Real: Real>, P: Spectra<X::Real>> Kernel<X> for Planes<P> {
             self.spectra.filter_columns(spectra, factor, sum, &mut team);
             if let Some(grad_x) = &mut grad_x {
                 let grad_x = grad_x.index_axis_mut(BATCH, image);
-                self.spectra.leave(spectra, self.by_rows_mut(grad_x), &mut team);
+                self.spectra.leave(spectra, self.by_rows(grad_x), &mut team);
             }
         }
     }

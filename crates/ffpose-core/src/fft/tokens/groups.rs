@@ -66,7 +66,8 @@ pub(super) trait GroupPointwise<T: Element> {
     type Ready<const RUN: usize, const J: usize>;
 
     /// Makes the slots 0 of `rows` ready.
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
+    #[inline(always)]
+    fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
 
     /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(

@@ -99,11 +99,8 @@ impl<T: Element> Tokens<T> {
         team.run(steps, |(step, mut rows), scratch| {
             let TokensBuffers { block, work, .. } = self.scratch(scratch);
             self.gather(step, &rows, block, work);
-            self.filter(
-                step,
-                block,
-                GroupProduct::<T, false>(NaturalWeight::new(self.shape, weight)),
-            );
+            let product = GroupProduct::<T, false>(NaturalWeight::new(self.shape, weight));
+            self.filter(step, block, product);
             self.put(block, &mut rows, work);
         });
         self.last_pass(ways.into_iter().map(|way| (way.spectrum, way.result)), far, team);
@@ -171,7 +168,8 @@ impl<T: Element> Tokens<T> {
         }
     }
 
-    /// The spectrum of a block times the conjugate weight, if there is one; a sum grows by the product with that of the block `x`.
+    /// The spectrum of a block times the conjugate weight, if there is one. Of `sum`, the block of `x` and the sum of a gradient, the
+    /// latter grows by the product with that spectrum.
     pub(super) fn filter_backward(
         &self,
         step: &Step,

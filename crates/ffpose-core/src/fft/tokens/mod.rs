@@ -1,4 +1,4 @@
-//! The filter on tokens whose sizes have codelets: `X = A B`, and Y a multiple of the lanes.
+//! The filter on tokens, or on a grid of one channel, whose sizes have codelets: `X = A B`, and Y a multiple of the lanes.
 //!
 //! Element `L y1 + y0` of a row is lane `y0` of vector `y1`, so that a row is a real line of `M = Y / L` vectors, and all but
 //! one of the transforms go across vectors. That one, over `y0`, comes last, next to the product, with one transpose each way:
@@ -50,7 +50,7 @@ use crate::fft::codelets::{has_codelet, twiddle};
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Aligned, Complex, Element, Isa, Stored, slack};
-use crate::tuning::{TOKENS_AT_ONCE, Tuning};
+use crate::tuning::{CODELET_ROWS, TOKENS_AT_ONCE, Tuning};
 use crate::views::{BATCH, in_order};
 
 /// The plan for images `(X, Y)`.
@@ -194,8 +194,6 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let mut grad_x = grad_x.map(|grad_x| self.images(grad_x));
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
-        let at_once = members * self.images_at_once();
-        let (spectra, mut team) = team.share(2 * self.images_at_once() * self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let count = x.len_of(BATCH);
@@ -212,10 +210,13 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
             })
             .collect();
         if self.shape.points == 1 {
-            return self.backward_rows(parts, weight, &mut team);
+            return self.backward_rows(parts, weight, team);
         }
-        // as many parts at a time as there are members, and as many images of each
-        let parts_each = parts.len().div_ceil(parts.len().div_ceil(members));
+        let at_once = members * self.images_at_once();
+        let (spectra, mut team) = team.share(2 * self.images_at_once() * self.spectrum_len());
+        // a part for each member, or several of few images; and as many images of each
+        let most = members.max(at_once / images_each);
+        let parts_each = parts.len().div_ceil(parts.len().div_ceil(most));
         for parts in parts.chunks_mut(parts_each) {
             let images_each = (at_once / parts.len()).max(1);
             while !parts[0].0.is_empty() {
@@ -246,15 +247,14 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 
     fn shares(&self, _: usize) -> bool {
-        true
+        self.shape.points > 1
     }
 }
 
-/// `X = A B` with codelets for both, as near to a square as can be. Where `A` is 1, the pass over it is a copy, and what fills the
-/// registers is all of X: that pays for rows that are long against it.
+/// `X = A B` with codelets for both, as near to a square as can be. Where `A` is 1, the pass over it is a copy.
 fn factors(points: usize, width: usize) -> Option<[usize; 2]> {
     let pairs = (1..=points.isqrt()).rev().map(|a| [a, points / a]);
     let has_codelets = |&[a, b]: &[usize; 2]| has_codelet!(factor a) && has_codelet!(factor b);
-    let pays = |&[a, _]: &[usize; 2]| a > 1 || 5 * points <= 2 * width;
+    let pays = |&[a, _]: &[usize; 2]| a > 1 || CODELET_ROWS[0] * points <= CODELET_ROWS[1] * width;
     pairs.filter(|[a, b]| a * b == points).find(|pair| has_codelets(pair) && pays(pair))
 }

@@ -1,6 +1,6 @@
 //! The passes over an image, each as jobs on rows of their own.
 
-use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
+use ndarray::{ArrayBase, ArrayView2, ArrayViewMut2, Axis, Ix2, Ix3, RawData};
 
 use super::blocks::{Block, block_to_image, image_to_block};
 use super::groups::{Filter, GroupPointwise, Turns};
@@ -62,7 +62,7 @@ impl<T: Element> Tokens<T> {
     ) {
         let ([a, b], pitch) = (self.factors, self.shape.pitch());
         let columns = images.flat_map(|(x, spectrum)| {
-            let x = x.into_shape_with_order((a, b, self.shape.width)).expect("rows without gaps");
+            let x = self.blocks(x);
             let x = (0..b).map(move |x2| x.index_axis_move(Axis(1), x2));
             x.zip(self.columns(spectrum)).zip(self.twiddles.chunks_exact(a))
         });
@@ -110,7 +110,7 @@ impl<T: Element> Tokens<T> {
     }
 
     /// Rows `(X, Y)` as `(A, B, Y)`.
-    fn blocks<'a, X>(&self, rows: ArrayViewMut2<'a, X>) -> ArrayViewMut3<'a, X> {
+    fn blocks<S: RawData>(&self, rows: ArrayBase<S, Ix2>) -> ArrayBase<S, Ix3> {
         let [a, b] = self.factors;
         rows.into_shape_with_order((a, b, self.shape.width)).expect("rows without gaps")
     }
@@ -118,12 +118,9 @@ impl<T: Element> Tokens<T> {
     /// The rows of each step.
     pub(super) fn rows_of_steps<'a>(&self, spectrum: ArrayViewMut2<'a, T>) -> Vec<StepRows<'a, T>> {
         let a = self.factors[0];
-        let (mut blocks, mut rest) = (Vec::with_capacity(a), self.blocks(spectrum));
-        for _ in 0..a {
-            let (first, others) = rest.split_at(Axis(0), 1);
-            blocks.push(Some(first.index_axis_move(Axis(0), 0)));
-            rest = others;
-        }
+        let blocks = chunks_mut(self.blocks(spectrum), Axis(0), 1);
+        let mut blocks: Vec<_> =
+            blocks.map(|block| Some(block.index_axis_move(Axis(0), 0))).collect();
         (0..=a / 2)
             .map(|u1| [blocks[u1].take(), blocks.get_mut(a - u1).and_then(Option::take)])
             .collect()

@@ -14,9 +14,6 @@ impl<'a, T: Element, const CONJUGATE: bool> GroupPointwise<T> for GroupProduct<'
     type Ready<const RUN: usize, const J: usize> = GroupWeight<'a, T, RUN, J>;
 
     #[inline(always)]
-    fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
-
-    #[inline(always)]
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
         group: Group<'_, V, RUN, J>,

@@ -44,8 +44,7 @@ impl<T: Element> Tokens<T> {
             let TokensBuffers { block, other, work } = self.scratch(scratch);
             for BackwardImage { grad, x, grad_x } in images {
                 self.enter_row(grad, block, work);
-                let sum = sum.as_deref_mut().and_then(|sum| self.parts_mut(sum).next());
-                let sum = sum.map(|sum| {
+                let sum = sum.as_deref_mut().map(|sum| {
                     self.enter_row(x, other, work);
                     (&mut *other, sum)
                 });

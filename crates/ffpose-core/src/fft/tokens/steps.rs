@@ -32,6 +32,7 @@ impl Step {
         run: usize,
     ) -> Self {
         let (mut rows, mut copies) = (Vec::new(), Vec::new());
+        let own = if a == 1 { b } else { 2 * b }; // block 0 is its own mirror
         let (mut frequencies, mut positions) = (Vec::new(), Vec::new());
         for u2 in 0..b {
             let (u, minus_u) = (u1 + a * u2, (a * b - u1 - a * u2) % (a * b));
@@ -43,14 +44,14 @@ impl Step {
             frequencies.push([u, minus_u]);
             positions.push([u2, mirror]);
             if u == minus_u {
-                let copy = 2 * b + copies.len();
+                let copy = own + copies.len();
                 copies.push((u2, copy));
                 rows.extend([u2, copy]);
             } else {
                 rows.extend([u2, mirror]);
             }
         }
-        let fillers = 2 * b + copies.len();
+        let fillers = own + copies.len();
         let gradient_runs = shape.runs(&rows, &positions, run);
         let turn = 2 * pairs_each;
         let fillers = fillers..fillers + rows.len().next_multiple_of(turn) - rows.len();
