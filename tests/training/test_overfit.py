@@ -39,19 +39,20 @@ def rendered(folder, count):
 def test_eight_images_are_learned_by_heart(tmp_path, monkeypatch):
     """Any attitude and distance: a constant pose is far from both. Only the last epoch is written.
 
-    What is left differs by CPU and seed, as roundings do: 0.04 to 0.12 m of 8 to 22 m.
+    What is left differs by CPU and seed, as roundings do: 0.2° to 0.3°, and 0.03 to 0.07 m of 8 to
+    22 m. After 100 epochs it was up to 2.3° and 0.25 m.
     """
     write = engine._write
     monkeypatch.setattr(
-        engine, "_write", lambda *run: write(*run) if len(run[1].history) == 100 else None
+        engine, "_write", lambda *run: write(*run) if len(run[1].history) == 150 else None
     )
     root = rendered(tmp_path / "eight", 10)  # of ten images in a row eight are for training
-    result = train(config(root, tmp_path / "run", epochs=100), quiet=True)
+    result = train(config(root, tmp_path / "run", epochs=150), quiet=True)
     found = evaluate(result.folder.last, "urso", root, "train")
     constant = found.baseline_errors
     assert found.errors.rotation_deg.shape == (8,)
     assert found.errors.rotation_deg.max() < 1 < 60 < constant.rotation_deg.median()
-    assert found.errors.translation_m.max() < 0.25 < 3 < constant.translation_m.median()
+    assert found.errors.translation_m.max() < 0.2 < 3 < constant.translation_m.median()
 
 
 @pytest.mark.gpu
