@@ -60,12 +60,12 @@ pub(crate) const LONGEST_LINE: usize = 1 << 20;
 /// Numbers of a gradient's sum that one member of a team adds up at a time.
 pub(crate) const ADDED_TOGETHER: usize = 1 << 12;
 
-/// The most rows of tokens to the columns that one codelet takes along X, as a fraction. On Zen 4 28×64 and 48×64 took 1.05 to 1.25 of
-/// the time of squares of vectors, 28×128 and 48×128 0.77 to 0.99, longer rows less.
+/// `[5, 2]`: one codelet is all of the transform along X up to 5 X = 2 Y. On Zen 4 28×64 and 48×64 took 0.95 to 1.25 of the time of
+/// squares of vectors, 28×128 and 48×128 0.77 to 0.99, longer rows less.
 pub(crate) const CODELET_ROWS: [usize; 2] = [5, 2];
 
-/// Bytes of images of tokens, as they are computed with, that a thread takes through a pass together. On Zen 4, 32 images of 8×64 took 0.9 of the time that
-/// they took one by one.
+/// Bytes of images of tokens, as they are computed with, that a thread takes through a pass together. On Zen 4, 32 images of 8×64 took
+/// 0.9 of the time that they took one by one.
 pub(crate) const TOKENS_AT_ONCE: usize = 1 << 14;
 
 /// Points of a sequence of one channel from which on each goes by itself, if it has codelets as tokens. On Zen 4 one of 256 points took
