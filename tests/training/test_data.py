@@ -159,6 +159,7 @@ def test_no_image_of_a_set_trains_selects_and_calibrates(own):
     assert data.train_set.names == ["1.png", "3.png", "5.png"]
     assert data.val_set.names == ["0.png", "4.png"]
     assert data.calibration.whole.names == ["2.png"]
+    assert data.calibration.cut is None
     assert data.calibration.hard == ()
     assert data.calibration.strangers is None
     (about,) = data.calibration.about
