@@ -170,14 +170,13 @@ impl Loops for Row<'_> {
             let samples = self.samples(start, len);
             for (channel, mut y) in self.y.axis_iter_mut(Axis(1)).enumerate() {
                 let pixels = &self.pixels[channel * area..][..area];
-                let mut sums = [0.0; BLOCK];
-                for (places, weights) in samples.places.iter().zip(&samples.weights) {
-                    for n in 0..BLOCK {
-                        sums[n] += weights[n] * pixels[places[n] as usize];
-                    }
+                let y = &mut y.as_slice_mut().expect("a row")[start..start + len];
+                for (n, y) in y.iter_mut().take(BLOCK).enumerate() {
+                    let part = |corner: usize| {
+                        samples.weights[corner][n] * pixels[samples.places[corner][n] as usize]
+                    };
+                    *y = part(0) + part(1) + part(2) + part(3);
                 }
-                let y = y.as_slice_mut().expect("a row");
-                y[start..start + len].copy_from_slice(&sums[..len]);
             }
         }
     }
@@ -212,8 +211,9 @@ impl Row<'_> {
                 [within(left, last_column, 1.0 - to_right), within(right, last_column, to_right)];
             let down =
                 [within(top, last_row, 1.0 - to_bottom), within(bottom, last_row, to_bottom)];
-            let places = [top, bottom].map(|row| row.clamp(0, last_row) * columns as i32);
-            let columns = [left, right].map(|column| column.clamp(0, last_column));
+            // Not `clamp`, which asks whether its bounds are in order.
+            let places = [top, bottom].map(|row| row.max(0).min(last_row) * columns as i32);
+            let columns = [left, right].map(|column| column.max(0).min(last_column));
             for corner in 0..4 {
                 let (row, column) = (corner / 2, corner % 2);
                 samples.places[corner][n] = (places[row] + columns[column]).cast_unsigned();
