@@ -27,6 +27,7 @@ __all__ = [
     "filter_tensors",
     "filter_tensors_backward",
     "fractal_noise",
+    "has_vnni",
     "isa",
     "isas",
     "normalize_quaternion",
@@ -71,6 +72,7 @@ def filter_tensors_backward(
     layout: str,
     num_threads: int,
 ) -> None: ...
+def has_vnni() -> bool: ...
 def isa() -> str: ...
 def isas() -> list[str]: ...
 def fractal_noise(

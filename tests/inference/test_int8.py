@@ -2,11 +2,13 @@
 
 import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose._rust import has_vnni
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
@@ -240,3 +242,22 @@ def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
 def test_int8_and_calibrate_belong_together(words, capsys):
     assert main(["export", "soyuz", "--out", "a.onnx", *words]) == 2
     assert "int8: expected with --calibrate DIR, both or neither" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not has_vnni(), reason="this processor's sums of int8 products saturate")
+def test_sums_are_the_same_with_vnni_and_with_the_kernels_that_do_without(
+    graph, images, tmp_path, monkeypatch
+):
+    """Their arithmetic is in whole numbers; the largest sums saturate 16 bits."""
+    out = tmp_path / "int8.onnx"
+    int8.quantize_graph(graph, out, images)
+    estimate = load(out)
+    found = estimate(images[0])
+    monkeypatch.setattr("ffpose.onnx.backends.has_vnni", lambda: False)
+    assert load(out)(images[0]) == found
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="Linux tells them there")
+def test_vnni_is_what_linux_says():
+    flags = Path("/proc/cpuinfo").read_text().split()
+    assert has_vnni() == ("avx512_vnni" in flags or "avx_vnni" in flags)

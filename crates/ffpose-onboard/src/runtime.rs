@@ -37,9 +37,11 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
     let mut builder = Session::builder(environment)
         .map_err(|error| refused(&error))?
         .with_log_level(LogLevel::Fatal)
-        .map_err(|error| refused(&error))?
-        .with_precise_qmm() // without it sums of int8 products saturate on x86-64 without VNNI; no effect elsewhere
         .map_err(|error| refused(&error))?;
+    if !has_vnni() {
+        // Without it sums of int8 products saturate on x86-64; it has no effect on other processors.
+        builder = builder.with_precise_qmm().map_err(|error| refused(&error))?;
+    }
     if let Some(threads) = options.threads {
         builder = builder.with_intra_threads(threads).map_err(|error| refused(&error))?;
     }
@@ -48,6 +50,18 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
     }
     let session = builder.commit_from_memory(&model.bytes);
     session.map_err(|error| refused(&error).of(options.model.display()))
+}
+
+/// Whether the processor sums products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI), where 16 saturate.
+fn has_vnni() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return is_x86_feature_detected!("avxvnni")
+        || is_x86_feature_detected!("avx512vnni")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl");
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 /// An error of ONNX Runtime.

@@ -44,7 +44,7 @@ mod _rust {
     };
     #[pymodule_export]
     use super::spectral::{
-        filter_tensors, filter_tensors_backward, isa, isas, spectral_filter,
+        filter_tensors, filter_tensors_backward, has_vnni, isa, isas, spectral_filter,
         spectral_filter_backward,
     };
     #[pymodule_export]

@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol, get_args
 
 from numpy.typing import NDArray
 
+from ffpose._rust import has_vnni
 from ffpose.errors import expect, require
 from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import Filter
@@ -91,8 +92,8 @@ class OnnxRuntimeSession:
         if not wanted or not set(wanted) <= set(known):
             raise ValueError(f"providers: expected some of {known}, got {wanted}")
         options = self.runtime.SessionOptions()
-        # Without it sums of int8 products saturate on x86-64 without VNNI; no effect elsewhere.
-        options.add_session_config_entry("session.x64quantprecision", "1")
+        if not has_vnni():  # int8 sums saturate on x86-64 then; no effect on other processors
+            options.add_session_config_entry("session.x64quantprecision", "1")
         if threads is not None:
             options.intra_op_num_threads = threads
         if precision == "bfloat16":
