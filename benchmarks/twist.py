@@ -25,7 +25,6 @@ from ffpose.arrays import rotation_error
 from ffpose.evaluation.attitude import rotation_parts
 from ffpose.models import PolarPose, load_network, read_metadata
 from ffpose.models.virtual_camera import pyramid, render_virtual
-from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.render import render
 
 SEED = CHOICES[345_678]
@@ -51,8 +50,7 @@ def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) ->
         view = model.view_at(points, twists)
         crops = render_virtual(pyramid(image), view, points, model.intrinsics)
         numbers = model.decode(model.encode(crops, view.tan_half_angle))
-        seen = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
-        return matrix_to_quaternion(view.rotation.mT @ seen)
+        return view.turned_back(model.orientation.decode(numbers.orientation))
 
 
 def changes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) -> Changes:

@@ -74,10 +74,11 @@ def looked(model, twist):
         crops = render_virtual(pyramid(images().double()), view, points, model.intrinsics)
         numbers = model.decode(model.encode(crops, view.tan_half_angle))
         matrix = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
+        point = points_at(numbers.offset, view)
     return {
-        "t": view.points_back(points_at(numbers.offset, view)),
+        "t": view.points_back(point),
         "R": view.rotation.mT @ matrix,
-        "covariances": torch.stack(covariances(numbers, view)),
+        "covariances": torch.stack(covariances(numbers, view, point)),
         "log_sigma": numbers.log_sigma,
         "in_view": numbers.in_view,
     }
@@ -235,7 +236,7 @@ def test_the_pose_is_the_mean_of_two_looks_that_agree(sign):
     one = pose_at(ends[0], [1.0, 2.0, 20.0])
     one = one._replace(orientation=sign * one.orientation)  # stands for the same rotation
     other = pose_at(ends[1], [1.2, 2.2, 21.0])
-    mean = polar_pose._mean(one[:2], other)
+    mean = polar_pose._mean(*one[:2], other)
     middle = Slerp([0, 1], ends)([0.5])
     error = Rotation.from_quat(mean.orientation.numpy(), scalar_first=True) * middle.inv()
     assert error.magnitude()[0] < 1e-7
@@ -245,7 +246,7 @@ def test_the_pose_is_the_mean_of_two_looks_that_agree(sign):
 def test_of_two_looks_that_do_not_agree_the_last_is_the_pose():
     ends = Rotation.from_rotvec([[0, 0, 0], [16, 0, 0]], degrees=True)
     other = pose_at(ends[1], [1.2, 2.2, 21.0])
-    mean = polar_pose._mean(pose_at(ends[0], [1.0, 2.0, 20.0])[:2], other)
+    mean = polar_pose._mean(*pose_at(ends[0], [1.0, 2.0, 20.0])[:2], other)
     assert mean.translation.equal(other.translation)
     assert mean.orientation.equal(other.orientation)
 

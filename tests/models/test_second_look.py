@@ -25,7 +25,7 @@ from ffpose.models.second_look import (
     sigma_loss,
     split_output,
 )
-from ffpose.models.virtual_camera import VirtualCamera, turn_to
+from ffpose.models.virtual_camera import turn_to
 from ffpose.nn.rotations import rotation_between, rotation_vector
 
 COUNT = 12
@@ -97,7 +97,7 @@ def test_offsets_out_of_the_view_are_brought_to_the_limit(view):
 
 def test_jacobian_is_autograds(generator, view):
     offset = offsets(generator)
-    got = offset_jacobian(offset, view)
+    got = offset_jacobian(points_at(offset, view), view)
     for i in range(COUNT):
         alone = one_view(view, i)
         expected = torch.autograd.functional.jacobian(partial(point_seen, alone), offset[i])
@@ -109,11 +109,15 @@ def numbers_for(offset, log_sigma):
     return SecondLookOutput(nothing[:, None], offset, log_sigma, nothing)
 
 
+def covariances_of(numbers, view):
+    return covariances(numbers, view, points_at(numbers.offset, view))
+
+
 def test_covariances_are_symmetric_and_positive(generator, view):
     log_sigma = torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
     # Out of the view as well: an uncertainty of zero would be a lie.
     for offset in (offsets(generator), offsets(generator, 40)):
-        for matrix in covariances(numbers_for(offset, log_sigma), view):
+        for matrix in covariances_of(numbers_for(offset, log_sigma), view):
             torch.testing.assert_close(matrix, matrix.mT, rtol=1e-12, atol=1e-15)
             assert (torch.linalg.eigvalsh(matrix) > 0).all()
 
@@ -126,7 +130,7 @@ def test_points_are_kept_before_the_camera():
 
 def test_translation_covariance_is_carried_by_the_jacobian(generator, view):
     offset, log_sigma = offsets(generator), torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
-    got, _ = covariances(numbers_for(offset, log_sigma), view)
+    got, _ = covariances_of(numbers_for(offset, log_sigma), view)
     for i in range(COUNT):
         seen = partial(point_seen, one_view(view, i))
         back = view.rotation[i].numpy().T
@@ -140,7 +144,7 @@ def test_rotation_covariance_is_that_of_sampled_attitudes(generator, view):
     sigma = np.array([0.002, 0.01, 0.03])
     log_sigma = torch.zeros(COUNT, 6, dtype=torch.float64)
     log_sigma[:, 3:] = torch.from_numpy(np.log(sigma))
-    _, got = covariances(numbers_for(offsets(generator), log_sigma), view)
+    _, got = covariances_of(numbers_for(offsets(generator), log_sigma), view)
     for i in range(3):
         back = Rotation.from_matrix(view.rotation[i].numpy()).inv()
         seen = Rotation.random(rng=generator)
@@ -255,10 +259,9 @@ def test_sigma_loss_with_a_shear_is_the_likelihood_under_both_covariances(genera
     log_sigma, shear = sheared(generator)
     residual = torch.from_numpy(generator.normal(size=(COUNT, 6)))
     numbers = numbers_of(log_sigma, shear)
-    view = VirtualCamera(
-        torch.eye(3).double().expand(COUNT, 3, 3), torch.ones(COUNT), torch.ones(COUNT), SIZE, 64
-    )
-    _, rotation = covariances(numbers._replace(offset=torch.zeros(COUNT, 3).double()), view)
+    ahead = torch.tensor([[0.0, 0.0, 1.0]]).double().expand(COUNT, 3)
+    view = turn_to(ahead, 1.0, SIZE)
+    _, rotation = covariances(numbers, view, ahead)
     blocks = (covariance_of(log_sigma[:, :3], shear[:, :2]), rotation)
     expected = sum(
         t_log_likelihood(part, block)

@@ -16,6 +16,7 @@ from ffpose.models.virtual_camera import (
     turn_to,
     turned_about_axis,
 )
+from ffpose.nn.rotations import quaternion_to_matrix
 
 CAMERA = Camera(320, 240, 150.0, 145.0, 150.0, 125.0)
 INTRINSICS = torch.tensor([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], dtype=torch.float64)
@@ -50,7 +51,8 @@ def turned_views(generator, count, most_deg=60, size=SIZE):
 
 def test_toward_is_the_least_rotation_that_takes_the_axis_there(generator):
     rays = directions(generator, 200, 170)
-    matrices = toward(torch.from_numpy(rays * generator.uniform(0.1, 9, (200, 1)))).numpy()
+    points = torch.from_numpy(rays * generator.uniform(0.1, 9, (200, 1)))
+    matrices = quaternion_to_matrix(toward(points)).numpy()
     np.testing.assert_allclose(
         matrices @ matrices.swapaxes(1, 2), np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-12
     )
@@ -61,15 +63,21 @@ def test_toward_is_the_least_rotation_that_takes_the_axis_there(generator):
 
 
 def test_toward_the_axis_itself_turns_nothing():
-    assert torch.equal(toward(torch.tensor([[0.0, 0.0, 7.0]])), torch.eye(3)[None])
+    assert toward(torch.tensor([[0.0, 0.0, 7.0]])).tolist() == [[1.0, 0.0, 0.0, 0.0]]
 
 
 def test_a_twist_is_a_rotation_about_z(generator):
     angles = generator.uniform(-np.pi, np.pi, 20)
-    expected = Rotation.from_euler("z", angles[:, None]).as_matrix()
+    expected = Rotation.from_euler("z", angles[:, None]).as_quat(scalar_first=True)
     np.testing.assert_allclose(
         turned_about_axis(torch.from_numpy(angles)).numpy(), expected, atol=1e-12
     )
+
+
+def test_rotation_and_quaternion_of_a_camera_are_one(generator):
+    _, view = turned_views(generator, 50)
+    expected = Rotation.from_quat(view.quaternion.numpy(), scalar_first=True).as_matrix()
+    np.testing.assert_allclose(view.rotation.numpy(), expected, atol=1e-12)
 
 
 def test_the_target_is_in_the_middle_and_the_radius_at_the_edge(generator):

@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import log_softmax, softmax
 
 from ffpose.nn.orientation import (
+    NEAR_SQUARINGS,
+    POWER_SQUARINGS,
     BinsHead,
     QuaternionHead,
     SixNumbersHead,
@@ -266,15 +268,17 @@ def test_a_head_starts_at_no_rotation(head):
     torch.testing.assert_close(decoded.abs(), torch.eye(4)[:1])
 
 
-def test_the_mean_of_quaternions_is_scipys():
-    """The quaternions have either sign and lie some degrees around an attitude."""
+@pytest.mark.parametrize("squarings", [POWER_SQUARINGS, NEAR_SQUARINGS])
+def test_the_mean_of_quaternions_is_scipys(squarings):
+    """The quaternions have either sign and lie up to 40 degrees around an attitude."""
     generator = np.random.default_rng(3)
-    near = Rotation.from_rotvec(generator.normal(scale=0.15, size=(7, 3)))
-    rotations = near * Rotation.random(rng=generator)
+    turns = generator.normal(size=(7, 3))
+    turns *= np.linspace(0, np.radians(40), 7)[:, None] / np.linalg.norm(turns, axis=1)[:, None]
+    rotations = Rotation.from_rotvec(turns) * Rotation.random(rng=generator)
     q = rotations.as_quat(scalar_first=True) * generator.choice([-1, 1], (7, 1))
     weights = generator.uniform(0.2, 1, 7)
     matrix = np.einsum("n,ni,nj->ij", weights, q, q)
-    got = mean_quaternion(torch.from_numpy(matrix)[None], torch.from_numpy(q[:1]))
+    got = mean_quaternion(torch.from_numpy(matrix)[None], torch.from_numpy(q[:1]), squarings)
     expected = rotations.mean(weights)
     angle = (expected.inv() * Rotation.from_quat(got[0].numpy(), scalar_first=True)).magnitude()
     assert angle < 1e-9

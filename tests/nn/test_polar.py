@@ -40,7 +40,7 @@ def test_a_convolution_is_torchs_on_a_map_continued_by_hand():
 def test_half_a_turn_twice_is_none():
     x = torch.randn(2, 3, 10, 4)
     assert torch.equal(half_turned(half_turned(x, 2), 2), x)
-    assert torch.equal(half_turned(x, 2), x.roll(5, 2))
+    assert torch.equal(half_turned(x, 2)[:, :, 2], x[:, :, 7])
 
 
 def test_a_map_through_the_origin_is_its_image_along_a_line():

@@ -37,6 +37,8 @@ def test_products(pair):
     between = arrays.multiply(wxyz(second), arrays.conjugate(wxyz(first)))
     tensor = tensors.rotation_between(*(torch.from_numpy(wxyz(each)) for each in pair))
     np.testing.assert_allclose(tensor.numpy(), between, atol=1e-15)
+    tensor = tensors.quaternion_product(*(torch.from_numpy(wxyz(r)) for r in (second, first)))
+    np.testing.assert_allclose(tensor.numpy(), product, atol=1e-15)
 
 
 def test_matrices(pair):

@@ -50,7 +50,6 @@ from ffpose.nn.orientation import (
     QuaternionHead,
     SixNumbersHead,
 )
-from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 TOKEN_STD = 0.02
 
@@ -255,11 +254,11 @@ class FilterformerPose(FrameNetwork):
         """Look at points ``(B, 3)``; the covariances are multiplied by ``variance_scales``."""
         view = self.view_at(points)
         output = self.decode(self.encode(render_virtual(levels, view, points, self.intrinsics)))
-        matrix = quaternion_to_matrix(self.orientation.decode(output.orientation))
-        q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
-        translation, rotation = covariances(output, view)
+        q = view.turned_back(self.orientation.decode(output.orientation))
+        point = points_at(output.offset, view)
+        translation, rotation = covariances(output, view, point)
         return UncertainPose(
-            in_front(view.points_back(points_at(output.offset, view))),
+            in_front(view.points_back(point)),
             q,
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
@@ -38,13 +38,13 @@ from ffpose.models.second_look import (
 )
 from ffpose.models.virtual_camera import (
     VirtualCamera,
+    chosen,
     downsampled,
     pyramid,
     render_virtual,
     turn_to,
 )
 from ffpose.nn.polar_bins import PolarBinsHead
-from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 FARTHER = 1.1
 """Distance that the last look's view is made for, relative to where the one before found it."""
@@ -112,27 +112,23 @@ class PolarPose(BaseNetwork):
         maps = self.locate(downsampled(levels, self.config.first_stride))
         points, log_masses = self.translation_branch.candidates(*maps, self.config.candidates)
         first, *others = zip(points.unbind(1), log_masses.unbind(1), strict=True)
-        output, view = self._second_look(levels, first[0])
-        kept = first[1]
-        score = _log_likelihood(kept, output)
+        look, kept = self._second_look(levels, first[0]), first[1]
+        score = _log_likelihood(kept, look)
         for point, log_mass in others:
             # If the object were surely there, would that be likelier?
             rival = log_mass > score
-            place = torch.where(rival[:, None], point, _located(output, view))
-            found, seen_by = self._second_look(levels, place)
+            found = self._second_look(levels, torch.where(rival[:, None], point, look.place))
             weight = torch.where(rival, log_mass, kept)
             likelihood = _log_likelihood(weight, found)
             taken = ~rival | (likelihood > score)
-            output, view = found.where(taken, output), seen_by.where(taken, view)
-            kept = torch.where(taken, weight, kept)
+            look, kept = found.where(taken, look), torch.where(taken, weight, kept)
             score = torch.where(taken, likelihood, score)
         if self.config.looks == 1:
-            return calibrated(self._pose(output, view), self.config)
+            return calibrated(self._pose(look), self.config)
         for _ in range(2, self.config.looks):
-            output, view = self._second_look(levels, _located(output, view))
-        turned = self._second_look(levels, _located(output, view), turned=True)
-        pose = _mean(self._place(output, view), self._pose(*turned))
-        return calibrated(pose, self.config)
+            look = self._second_look(levels, look.place)
+        pose = self._pose(self._second_look(levels, look.place, turned=True))
+        return calibrated(_mean(look.place, self._orientation(look), pose), self.config)
 
     @half_in_learned_parts
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
@@ -152,11 +148,10 @@ class PolarPose(BaseNetwork):
             ValueError: The shape of ``images`` is not as above.
         """
         self.check_images(images)
-        output, view = self._second_look(pyramid(images), in_front(points))
+        output, view = self._look_at(pyramid(images), in_front(points))
         across, along = self.config.look_slope
         slopes = output.offset.new_tensor([across, across, along])
-        output = output._replace(offset=output.offset / slopes)
-        pose = self._pose(output, view)
+        pose = self._pose(_placed(output._replace(offset=output.offset / slopes), view))
         if self.config.looks > 1:
             pose = pose._replace(
                 translation_covariance=pose.translation_covariance * ONE_LOOK_VARIANCE,
@@ -166,34 +161,38 @@ class PolarPose(BaseNetwork):
 
     def _second_look(
         self, levels: Sequence[Tensor], points: Tensor, *, turned: bool = False
-    ) -> tuple[SecondLookOutput, VirtualCamera]:
+    ) -> SecondLook:
         """Look at points ``(B, 3)``; ``turned`` by half a cell, in a view for a longer distance."""
         twist = None
         if turned:
             points = FARTHER * points
             twist = points.new_full(points.shape[:1], math.pi / self.config.object_grid[1])
+        return _placed(*self._look_at(levels, points, twist))
+
+    def _look_at(
+        self, levels: Sequence[Tensor], points: Tensor, twist: Tensor | None = None
+    ) -> tuple[SecondLookOutput, VirtualCamera]:
         view = self.view_at(points, twist)
         crops = render_virtual(levels, view, points, self.intrinsics)
         return self.decode(self.encode(crops, view.tan_half_angle)), view
 
-    def _pose(self, output: SecondLookOutput, view: VirtualCamera) -> UncertainPose:
-        """Return the poses that the outputs of second looks mean, in the camera's frame."""
-        modes = self.orientation.modes(output.orientation)
-        translation, rotation = covariances(output, view)
+    def _pose(self, look: SecondLook) -> UncertainPose:
+        """Return the poses that second looks found, in the camera's frame."""
+        modes = self.orientation.modes(look.output.orientation)
+        translation, rotation = covariances(look.output, look.view, look.point)
         return UncertainPose(
-            _located(output, view),
-            _turned_back(modes.orientation, view),
+            look.place,
+            look.view.turned_back(modes.orientation),
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],
-            output.in_view.sigmoid(),
-            _turned_back(modes.alternative, view),
+            look.output.in_view.sigmoid(),
+            look.view.turned_back(modes.alternative),
             modes.probabilities,
         )
 
-    def _place(self, output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
-        """Return the translations and orientations of `_pose` alone."""
-        orientation = self.orientation.decode(output.orientation)
-        return _located(output, view), _turned_back(orientation, view)
+    def _orientation(self, look: SecondLook) -> Tensor:
+        """Return the orientations ``(B, 4)`` of `_pose` alone."""
+        return look.view.turned_back(self.orientation.decode(look.output.orientation))
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
@@ -244,16 +243,40 @@ class NearPoint(nn.Module):
         return self.network.predict_near(images, point)
 
 
-def _mean(one: tuple[Tensor, Tensor], other: UncertainPose) -> UncertainPose:
-    """Return the mean pose of two looks where they agree, elsewhere the other's; all else is its.
+class SecondLook(NamedTuple):
+    """Second looks of a batch, and where they found the object.
 
-    Of the one there are translations and orientations.
+    Attributes:
+        output: What the network says of the view.
+        view: The virtual cameras.
+        point: ``(B, 3)``, the object's origin, virtual camera's frame, meters.
+        place: ``(B, 3)``, the same in the camera's frame, and in front of it.
+    """
+
+    output: SecondLookOutput
+    view: VirtualCamera
+    point: Tensor
+    place: Tensor
+
+    def where(self, taken: Tensor, other: SecondLook) -> SecondLook:
+        """Return these looks where ``taken (B,)`` is true, and ``other`` where it is not."""
+        output, view = self.output.where(taken, other.output), self.view.where(taken, other.view)
+        points = (chosen(taken, *pair) for pair in zip(self[2:], other[2:], strict=True))
+        return SecondLook(output, view, *points)
+
+
+def _placed(output: SecondLookOutput, view: VirtualCamera) -> SecondLook:
+    point = points_at(output.offset, view)
+    return SecondLook(output, view, point, in_front(view.points_back(point)))
+
+
+def _mean(translation: Tensor, orientation: Tensor, other: UncertainPose) -> UncertainPose:
+    """Return the mean pose of two looks where they agree, elsewhere the other's; all else is its.
 
     The mean of two unit quaternions that stand for nearly the same rotation, one or the negative of
     one and the other, normalized, is half the rotation between them (Markley et al., "Averaging
     Quaternions", Journal of Guidance, Control, and Dynamics 30(4), 2007).
     """
-    translation, orientation = one
     cosine = (orientation * other.orientation).sum(-1, keepdim=True)  # of half the angle
     same = torch.where(cosine < 0, -orientation, orientation)
     agree = cosine.abs() > math.cos(math.radians(AGREEMENT_DEG) / 2)
@@ -265,20 +288,9 @@ def _mean(one: tuple[Tensor, Tensor], other: UncertainPose) -> UncertainPose:
     )
 
 
-def _turned_back(orientation: Tensor, view: VirtualCamera) -> Tensor:
-    """Return unit quaternions ``(B, 4)`` of a virtual camera's frame in that of its camera."""
-    back = view.rotation.transpose(1, 2)
-    return matrix_to_quaternion(back @ quaternion_to_matrix(orientation))
-
-
-def _log_likelihood(log_mass: Tensor, output: SecondLookOutput) -> Tensor:
+def _log_likelihood(log_mass: Tensor, look: SecondLook) -> Tensor:
     """Return the logs ``(B,)`` of how likely candidates of a first look are after a look at them.
 
     Not logsigmoid: in graphs that is a sigmoid's, which runtimes clamp at 18.
     """
-    return log_mass - F.softplus(-output.in_view)
-
-
-def _located(output: SecondLookOutput, view: VirtualCamera) -> Tensor:
-    """Return the points ``(B, 3)`` of the camera's frame where second looks find the object."""
-    return in_front(view.points_back(points_at(output.offset, view)))
+    return log_mass - F.softplus(-look.output.in_view)

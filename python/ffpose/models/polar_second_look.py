@@ -76,6 +76,7 @@ class PolarHead(nn.Module):
     """Head that computes the outputs of the second look from the last map."""
 
     turns: Tensor
+    sigmas: Tensor
 
     def __init__(self, config: PolarPoseConfig) -> None:
         super().__init__()
@@ -88,6 +89,8 @@ class PolarHead(nn.Module):
         self.register_buffer(
             "turns", torch.stack([rotations(angles), rotations(2 * angles)]), persistent=False
         )
+        # Of the scalars: distance; across and along the ray, of offset and rotation; in view.
+        self.register_buffer("sigmas", torch.tensor([1, 1, 2, 3, 3, 4]), persistent=False)
 
     def forward(self, feature_map: Tensor) -> SecondLookOutput:
         """Return the outputs for a map ``(B, C, radii, angles)``."""
@@ -95,19 +98,17 @@ class PolarHead(nn.Module):
         g = F.relu(self.mix(g))
         g = F.relu(self.mix_again(g) + g)
         scalars = self.scalars(torch.cat((g.mean(1), g.amax(1)), dim=1))
-        distance, across, along, turned, turned_along, in_view = scalars.unbind(1)
         vectors = torch.unflatten(self.vectors(g), 2, (3, 2))  # (B, angles, 3, 2)
         first, second = self.turns.to(vectors.dtype)
         offset = torch.einsum("aij,baj->bi", first, vectors[:, :, 0]) / len(first)
         shear = torch.einsum("aij,banj->bni", second, vectors[:, :, 1:]) / len(second)
         length = shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
         shear = shear * (SHEAR_LIMIT * (length / SHEAR_LIMIT).tanh() / length)
-        log_sigma = torch.stack([across, across, along, turned, turned, turned_along], dim=1)
         return SecondLookOutput(
             orientation=g.flatten(1),
-            offset=torch.cat((offset, distance[:, None]), dim=1),
-            log_sigma=log_sigma.clamp(*LOG_SIGMA_LIMITS),
-            in_view=in_view,
+            offset=torch.cat((offset, scalars[:, :1]), dim=1),
+            log_sigma=scalars[:, self.sigmas].clamp(*LOG_SIGMA_LIMITS),
+            in_view=scalars[:, 5],
             shear=shear.flatten(1),
         )
 

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from ffpose.config import SecondLookConfig
 from ffpose.models.base import UncertainPose
@@ -147,50 +146,53 @@ def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
     Offsets across and along the ray are shortened to `OFFSET_LIMIT`, beyond which the object is out
     of view.
     """
-    length = offset[:, :2].norm(dim=1, keepdim=True)
-    across = offset[:, :2] * (OFFSET_LIMIT / length.clamp_min(OFFSET_LIMIT))
-    tangents = across * (view.width / (OFFSET_SCALE * view.focal))[:, None]
+    across, along = offset[:, :2], offset[:, 2:]
+    length = across.norm(dim=1, keepdim=True)
+    shortened = across * (OFFSET_LIMIT / length.clamp_min(OFFSET_LIMIT))
+    tangents = shortened * _tangent_of_one(view)
     rays = torch.cat((tangents, torch.ones_like(length)), dim=1)
-    along = offset[:, 2].clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
-    distance = view.distance * torch.exp(along / OFFSET_SCALE)
-    return F.normalize(rays, dim=-1) * distance[:, None]
+    along = along.clamp(-OFFSET_LIMIT, OFFSET_LIMIT) / OFFSET_SCALE
+    points: Tensor = rays * (view.distance[:, None] * along.exp() / rays.norm(dim=1, keepdim=True))
+    return points
 
 
-def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
-    """Return the derivatives ``(B, 3, 3)`` of `points_at` with respect to the offset."""
-    point = points_at(offset, view)
-    distance = point.norm(dim=-1, keepdim=True)
+def offset_jacobian(point: Tensor, view: VirtualCamera) -> Tensor:
+    """Return the derivatives ``(B, 3, 3)`` of `points_at` with respect to the offset.
+
+    They are those at the offset of the ``point (B, 3)`` that `points_at` returns.
+    """
+    distance = point.norm(dim=1, keepdim=True)
     ray = point / distance  # (B, 3)
     # Meters per unit of the offset, as the ray is normalized again.
-    slope = distance * ray[:, 2:] * (view.width / (OFFSET_SCALE * view.focal))[:, None]
-    columns = []
-    for axis in range(2):
-        unit = F.one_hot(torch.tensor(axis, device=ray.device), 3).to(ray.dtype)
-        columns.append(slope * (unit - ray * ray[:, axis : axis + 1]))
-    columns.append(point / OFFSET_SCALE)
-    return torch.stack(columns, dim=-1)
+    slope = distance * ray[:, 2:] * _tangent_of_one(view)
+    across = torch.eye(3, 2).to(ray) - ray[:, :, None] * ray[:, None, :2]
+    return torch.cat((across * slope[:, None], point[:, :, None] / OFFSET_SCALE), dim=2)
 
 
-def covariances(output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
-    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame."""
-    shear = output.shear
-    offset, rotation = (
-        covariance_of(
-            output.log_sigma[:, 3 * part : 3 * part + 3],
-            None if shear is None else shear[:, 2 * part : 2 * part + 2],
-        )
-        for part in range(2)
-    )
-    back = view.rotation.transpose(1, 2)
-    to_camera = back @ offset_jacobian(output.offset, view)
-    translation = to_camera @ offset @ to_camera.transpose(1, 2)
-    return translation, back @ rotation @ view.rotation
+def _tangent_of_one(view: VirtualCamera) -> Tensor:
+    """Return the tangents ``(B, 1)`` of an offset of one across the ray."""
+    return (view.width / OFFSET_SCALE / view.focal)[:, None]
+
+
+def covariances(
+    output: SecondLookOutput, view: VirtualCamera, point: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
+
+    ``point (B, 3)`` is the object's in the virtual camera's frame, as of `points_at`.
+    """
+    log_sigma = torch.unflatten(output.log_sigma, 1, (2, 3))
+    shear = None if output.shear is None else torch.unflatten(output.shear, 1, (2, 2))
+    offset, rotation = covariance_of(log_sigma, shear).unbind(1)
+    back = view.rotation.mT
+    to_camera = back @ offset_jacobian(point, view)
+    return to_camera @ offset @ to_camera.mT, back @ rotation @ view.rotation
 
 
 def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
-    """Return the covariances ``(B, 3, 3)`` of log standard deviations, virtual camera's frame.
+    """Return the covariances ``(..., 3, 3)`` of log standard deviations, virtual camera's frame.
 
-    With a shear ``(a, b)`` ``(B, 2)`` the block across the ray is its variances' geometric mean
+    With a shear ``(a, b)`` ``(..., 2)`` the block across the ray is its variances' geometric mean
     times ``exp 2 [[a, b], [b, -a]]``, which has the determinant one; the first two deviations are
     then to be equal. A rotation of the camera by ``w`` about the ray rotates ``(a, b)`` by ``2 w``:
     it is a second harmonic.
@@ -198,17 +200,27 @@ def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
     variance = (2 * log_sigma).exp()
     if shear is None:
         return torch.diag_embed(variance)
-    length = 2 * shear.norm(dim=1).clamp_min(1e-6)
-    a, b = (2 * shear * (length.sinh() / length)[:, None]).unbind(1)
-    mean, zero = length.cosh(), torch.zeros_like(a)
-    rows = [mean + a, b, zero, b, mean - a, zero, zero, zero, torch.ones_like(a)]
-    return torch.unflatten(torch.stack(rows, dim=1), 1, (3, 3)) * variance[:, :, None]
+    length = 2 * shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    parts = (length.cosh(), 2 * shear * (length.sinh() / length), torch.ones_like(length))
+    blocks = torch.unflatten(torch.cat(parts, dim=-1) @ BLOCKS.to(length), -1, (3, 3))
+    return blocks * variance[..., None]
+
+
+BLOCKS = torch.tensor(
+    [
+        [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+    ]
+)
+"""From ``(m, a, b, 1)`` to the rows of ``[[m + a, b, 0], [b, m - a, 0], [0, 0, 1]]``."""
 
 
 def in_front(points: Tensor) -> Tensor:
     """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
-    least = points.norm(dim=-1) / 10
-    return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
+    least = points.norm(dim=-1, keepdim=True) / 10
+    return torch.cat((points[:, :2], torch.maximum(points[:, 2:], least)), dim=1)
 
 
 def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
@@ -255,8 +267,8 @@ def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:
     scaled = torch.unflatten(residual * torch.exp(-output.log_sigma), 1, (2, 3))
     if output.shear is not None:
         # The inverse of `covariance_of` is that of the negative shear, and of variances of one.
-        halves = torch.unflatten(-output.shear / 2, 1, (2, 2)).flatten(0, 1)
-        root = covariance_of(torch.zeros_like(scaled).flatten(0, 1), halves)
-        scaled = (root @ scaled.flatten(0, 1)[:, :, None]).view_as(scaled)
+        halves = torch.unflatten(-output.shear / 2, 1, (2, 2))
+        root = covariance_of(torch.zeros_like(scaled), halves)
+        scaled = (root @ scaled[..., None])[..., 0]
     far = (TAIL + 3) / 2 * torch.log1p(scaled.square().sum(-1) / TAIL)
     return (far.sum(-1) + output.log_sigma.sum(-1)) / 6

@@ -20,7 +20,7 @@ shift of the image's columns (Esteves et al., "Polar Transformer Networks", ICLR
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -29,7 +29,8 @@ from torch.nn import functional as F
 
 from ffpose.geometry.warping import LEAST_DEPTH, sample_planes, source_planes
 from ffpose.imaging.patches import LEVELS, SHARPNESS
-from ffpose.nn.pyramid import sample_pyramid
+from ffpose.nn.pyramid import halve, sample_pyramid
+from ffpose.nn.rotations import conjugate, quaternion_product, quaternion_to_matrix
 
 
 class VirtualCamera(NamedTuple):
@@ -37,6 +38,7 @@ class VirtualCamera(NamedTuple):
 
     Attributes:
         rotation: ``(B, 3, 3)``, rotations from the camera frame to the virtual camera's frame.
+        quaternion: ``(B, 4)``, unit quaternions of these rotations.
         focal: ``(B,)``, focal lengths in pixels; the principal point is the image's center.
         distance: ``(B,)``, distances to the points that the cameras are pointed at, meters.
         size: ``(height, width)`` of the virtual image; ``(radii, angles)`` of a polar one.
@@ -48,6 +50,7 @@ class VirtualCamera(NamedTuple):
     """
 
     rotation: Tensor
+    quaternion: Tensor
     focal: Tensor
     distance: Tensor
     size: tuple[int, int]
@@ -64,14 +67,20 @@ class VirtualCamera(NamedTuple):
 
     def of(self, rows: Tensor | slice) -> VirtualCamera:
         """Return the cameras of some rows of the batch: indices, a mask or a slice."""
-        tensors = (self.rotation[rows], self.focal[rows], self.distance[rows])
-        return VirtualCamera(*tensors, self.size, self.width, self.polar)
+        return self._each(lambda part: part[rows])
 
     def where(self, taken: Tensor, other: VirtualCamera) -> VirtualCamera:
         """Return these cameras where ``taken (B,)`` is true, and ``other`` where it is not."""
-        pairs = zip(self[:3], other[:3], strict=True)
-        rotation, focal, distance = (chosen(taken, a, b) for a, b in pairs)
-        return VirtualCamera(rotation, focal, distance, self.size, self.width, self.polar)
+        return self._each(lambda a, b: chosen(taken, a, b), other)
+
+    def _each(self, change: Callable[..., Tensor], *others: VirtualCamera) -> VirtualCamera:
+        cameras = (self, *others)
+        return self._replace(
+            rotation=change(*(camera.rotation for camera in cameras)),
+            quaternion=change(*(camera.quaternion for camera in cameras)),
+            focal=change(*(camera.focal for camera in cameras)),
+            distance=change(*(camera.distance for camera in cameras)),
+        )
 
     def resized(self, size: tuple[int, int]) -> VirtualCamera:
         """Return the same views in images of another size; rows and columns of another pitch."""
@@ -116,6 +125,11 @@ class VirtualCamera(NamedTuple):
         """Transform points ``(B, 3)`` from the virtual camera's frame to the camera frame."""
         return (self.rotation.transpose(1, 2) @ points[:, :, None])[..., 0]
 
+    def turned_back(self, orientation: Tensor) -> Tensor:
+        """Transform unit quaternions ``(B, 4)`` from the virtual camera's frame to the camera's."""
+        turned = quaternion_product(conjugate(self.quaternion), orientation)
+        return F.normalize(turned, dim=-1)  # for runtimes that multiply in bfloat16
+
 
 def chosen(taken: Tensor, these: Tensor, others: Tensor) -> Tensor:
     """Return the rows of ``these (B, ...)`` where ``taken (B,)`` is true, else of ``others``."""
@@ -123,21 +137,34 @@ def chosen(taken: Tensor, these: Tensor, others: Tensor) -> Tensor:
 
 
 def toward(directions: Tensor) -> Tensor:
-    """Return the smallest rotations ``(B, 3, 3)`` from the z axis to ``directions (B, 3)``.
+    """Return the smallest rotations from the z axis to ``directions (B, 3)``, quaternions.
 
-    The directions need not have unit length, but must not point along -z.
+    Unit quaternions ``(B, 4)``. The directions need not have unit length, but must not point along
+    -z.
     """
-    x, y, z = F.normalize(directions, dim=-1).unbind(-1)
-    k = 1 / (1 + z)
-    rows = [1 - k * x * x, -k * x * y, x, -k * x * y, 1 - k * y * y, y, -x, -y, z]
-    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
+    length = directions.norm(dim=-1, keepdim=True)
+    # Half the angle's cosine times 2 |d| is |d| + z, and its sine times that (-y, x, 0).
+    least = torch.cat((length, directions), dim=-1) @ LEAST.to(directions)
+    unit: Tensor = least / least.norm(dim=-1, keepdim=True)
+    return unit
+
+
+LEAST = torch.tensor(
+    [
+        [1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0],
+    ]
+)
+"""From ``(|d|, x, y, z)`` to ``(|d| + z, -y, x, 0)``."""
 
 
 def turned_about_axis(angles: Tensor) -> Tensor:
-    """Return rotations ``(B, 3, 3)`` about the z axis by ``angles (B,)``, radians."""
-    c, s, zero, one = angles.cos(), angles.sin(), torch.zeros_like(angles), torch.ones_like(angles)
-    rows = [c, -s, zero, s, c, zero, zero, zero, one]
-    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
+    """Return rotations about the z axis by ``angles (B,)``, radians: quaternions ``(B, 4)``."""
+    c, s = (angles / 2).cos(), (angles / 2).sin()
+    zero = torch.zeros_like(c)
+    return torch.stack([c, zero, zero, s], dim=-1)
 
 
 def turn_to(
@@ -160,11 +187,12 @@ def turn_to(
     """
     width = size[1] if polar_width is None else polar_width
     distance = points.norm(dim=-1)
-    rotation = toward(points).transpose(1, 2)
+    quaternion = conjugate(toward(points))
     if twist is not None:
-        rotation = turned_about_axis(twist) @ rotation
-    focal = width / 2 * distance / radius_m
-    return VirtualCamera(rotation, focal, distance, size, width, polar_width is not None)
+        quaternion = quaternion_product(turned_about_axis(twist), quaternion)
+    rotation, focal = quaternion_to_matrix(quaternion), distance * (width / 2 / radius_m)
+    polar = polar_width is not None
+    return VirtualCamera(rotation, quaternion, focal, distance, size, width, polar)
 
 
 def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -183,13 +211,11 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     Virtual pixels are relative to the image's center. The third coordinate of the result is the
     depth of a ray whose depth in the virtual camera is one.
     """
-    intrinsics = intrinsics.to(view.focal.dtype).expand(view.focal.shape[0], 4)
-    fx, fy, cx, cy = intrinsics.unbind(1)
+    fx, fy, cx, cy = intrinsics.to(view.focal.dtype).unbind(-1)
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
     matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
-    scale = torch.stack([1 / view.focal, 1 / view.focal, one], dim=-1)
-    source = torch.unflatten(matrix, 1, (3, 3))
-    return source @ view.rotation.transpose(1, 2) * scale[:, None, :]
+    turned = torch.unflatten(matrix, -1, (3, 3)) @ view.rotation.mT
+    return torch.cat((turned[:, :, :2] / view.focal[:, None, None], turned[:, :, 2:]), dim=2)
 
 
 def sample(image: Tensor, pixels: Tensor) -> Tensor:
@@ -201,7 +227,7 @@ def pyramid(images: Tensor) -> list[Tensor]:
     """Return the pyramid of images ``(B, C, H, W)``, finest first; each level has half the size."""
     levels = [images]
     for _ in range(1, LEVELS):
-        levels.append(F.avg_pool2d(levels[-1], 2))
+        levels.append(halve(levels[-1]))
     return levels
 
 

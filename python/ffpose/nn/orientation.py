@@ -36,6 +36,13 @@ NEIGHBORHOOD_DEG = 40.0
 POWER_SQUARINGS = 10
 """Number of squarings of the averaged matrix, equal to 2**10 power iterations."""
 
+NEAR_SQUARINGS = 5
+"""Number of squarings where all bins are within `NEIGHBORHOOD_DEG` of one: there the second
+eigenvalue is at most ``tan(20 deg)**2`` of the first, whose 2**5th power is 1e-28."""
+
+SCALED_EACH = 4
+"""Squarings between two scalings; the largest eigenvalue is 1 to 4 times the largest entry."""
+
 
 class QuaternionActivation(nn.Module):
     """Normalization of quaternions (Ye et al., Sensors 2023, 23, 8633, Eq. 8).
@@ -160,21 +167,23 @@ def mean_near_mode(logits: Tensor, bins: Tensor, outer: Tensor) -> Tensor:
     mode = bins[p.argmax(-1)]  # (B, 4)
     near = (mode @ bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
     matrix = torch.unflatten((p * near) @ outer, 1, (4, 4))  # sum of p q qT
-    return mean_quaternion(matrix, mode)
+    return mean_quaternion(matrix, mode, NEAR_SQUARINGS)
 
 
-def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:
+def mean_quaternion(matrix: Tensor, start: Tensor, squarings: int = POWER_SQUARINGS) -> Tensor:
     """Return the mean ``(B, 4)`` of quaternions whose weighted sum of ``q qT`` is ``matrix``.
 
     It is the principal eigenvector (Markley et al., "Averaging Quaternions", 2007), computed by
     power iteration, which can be exported to ONNX, from initial vectors ``(B, 4)`` that are not
     orthogonal to the mean, such as one of the quaternions.
     """
-    matrix = matrix / matrix.amax((-2, -1), keepdim=True)  # which is on the diagonal
-    for _ in range(POWER_SQUARINGS):
+    for number in range(squarings):
+        if number % SCALED_EACH == 0:
+            matrix = matrix / matrix.amax((-2, -1), keepdim=True)  # which is on the diagonal
         matrix = matrix @ matrix
-        matrix = matrix / matrix.amax((-2, -1), keepdim=True)
-    return F.normalize((matrix @ start[:, :, None])[..., 0], dim=-1)
+    mean = (matrix @ start[:, :, None])[..., 0]
+    unit: Tensor = mean / mean.norm(dim=-1, keepdim=True)
+    return unit
 
 
 def super_fibonacci(count: int) -> Tensor:

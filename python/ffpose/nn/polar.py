@@ -36,10 +36,9 @@ class PolarConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return ``(B, out_channels, radii', angles')`` for ``x (B, channels, radii, angles)``."""
-        inner = half_turned(x[:, :, :1], 3)
-        x = torch.cat((inner, x, torch.zeros_like(inner)), dim=2)
+        x = torch.cat((half_turned(x[:, :, :1], 3), x), dim=2)
         x = torch.cat((x[..., -1:], x, x[..., :1]), dim=3)
-        return F.relu(self.norm(self.conv(x)), inplace=True)
+        return F.relu(self.norm(self.conv(F.pad(x, (0, 0, 0, 1)))), inplace=True)
 
 
 class SpectralPool(nn.Module):
@@ -184,15 +183,14 @@ class PolarBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return the map ``(B, radii, angles, channels)`` for one of the same shape."""
         x = self.attention(x)
-        hidden = F.relu(self.up(self.norm(self.mixer(x))), inplace=True)
-        result: Tensor = x + self.down(hidden)
-        return result
+        cells = self.norm(self.mixer(x)).flatten(0, 2)  # of which graphs make products with a bias
+        hidden = self.down(F.relu(self.up(cells), inplace=True))
+        return x + torch.unflatten(hidden, 0, (-1, *x.shape[1:3]))
 
 
 def half_turned(x: Tensor, dim: int) -> Tensor:
     """Return a map whose angles, axis ``dim``, are shifted by half a turn."""
-    half = x.shape[dim] // 2
-    return torch.cat((x.narrow(dim, half, half), x.narrow(dim, 0, half)), dim=dim)
+    return x.roll(x.shape[dim] // 2, dim)
 
 
 def through_origin(x: Tensor, radii: int) -> Tensor:

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.nn.orientation import NEIGHBORHOOD_DEG, mean_quaternion
+from ffpose.nn.orientation import NEAR_SQUARINGS, NEIGHBORHOOD_DEG, mean_quaternion
 from ffpose.nn.polar import interpolation
 
 WEIGHT_STD = 0.02
@@ -111,7 +111,7 @@ class PolarBinsHead(nn.Module):
         near = self._within(mode, NEIGHBORHOOD_DEG)
         weights = torch.unflatten(p * near, 1, (-1, count))  # (B, K, J)
         matrix = (self.squares @ weights).flatten(1) @ self.outer  # sum of p q qT
-        return mean_quaternion(torch.unflatten(matrix, 1, (4, 4)), mode)
+        return mean_quaternion(torch.unflatten(matrix, 1, (4, 4)), mode, NEAR_SQUARINGS)
 
     def modes(self, raw: Tensor) -> Modes:
         """Return the two most likely modes of the distributions."""

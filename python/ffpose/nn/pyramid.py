@@ -1,7 +1,7 @@
 """Images of virtual cameras, sampled from the pyramids of their source images.
 
-``ffpose::sample_pyramid`` is an operator so that an exported graph can hold it as one node; in
-torch it consists of torch's own operators, and is differentiable as they are.
+``ffpose::halve`` and ``ffpose::sample_pyramid`` are operators so that an exported graph can hold
+each as one node; in torch they consist of torch's own, and are differentiable as these are.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from ffpose.geometry.warping import sample_planes, source_planes
 
+HALVE = "ffpose::halve"
 SAMPLE_PYRAMID = "ffpose::sample_pyramid"
 
 torch.library.define(
@@ -22,6 +23,23 @@ torch.library.define(
     tags=(torch.Tag.pt2_compliant_tag,),
 )
 _op: Callable[..., Tensor] = torch.ops.ffpose.sample_pyramid.default
+torch.library.define(HALVE, "(Tensor images) -> Tensor", tags=(torch.Tag.pt2_compliant_tag,))
+
+
+def halve(images: Tensor) -> Tensor:
+    """Return the means ``(..., H // 2, W // 2)`` of 2 x 2 pixels of images ``(..., H, W)``.
+
+    Several times as fast on a CPU as torch's average pooling.
+    """
+    halved: Tensor = torch.ops.ffpose.halve.default(images)
+    return halved
+
+
+def _halve(images: Tensor) -> Tensor:
+    height, width = images.shape[-2:]
+    whole = images[..., : height - height % 2, : width - width % 2]
+    rows = whole[..., 0::2, :] + whole[..., 1::2, :]
+    return (rows[..., 0::2] + rows[..., 1::2]) / 4
 
 
 def sample_pyramid(
@@ -69,4 +87,5 @@ def _sample_pyramid(
     return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)
 
 
+torch.library.impl(HALVE, "CompositeImplicitAutograd", _halve)
 torch.library.impl(SAMPLE_PYRAMID, "CompositeImplicitAutograd", _sample_pyramid)

@@ -6,20 +6,53 @@ be exported to ONNX; `ffpose.geometry.rotations` has them for NumPy.
 
 from __future__ import annotations
 
+import itertools
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+SIGNS = torch.tensor([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]])
+"""Signs of the products of the units 1, i, j and k; their product is the unit of the number that
+the exclusive or of their numbers is."""
+
+
+INVERSE = torch.tensor([1.0, -1.0, -1.0, -1.0])
+"""Signs of the conjugate's entries."""
+
+
+def quaternion_product(p: Tensor, q: Tensor) -> Tensor:
+    """Return the Hamilton products ``p q (B, 4)`` of quaternions ``(B, 4)``.
+
+    Of rotations that by ``q`` is the first.
+    """
+    return _bilinear(p, q, PRODUCTS)
+
 
 def quaternion_to_matrix(q: Tensor) -> Tensor:
     """Return the rotation matrices ``(B, 3, 3)`` of unit quaternions ``(B, 4)``."""
-    w, x, y, z = q.unbind(-1)
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
+    return torch.unflatten(_bilinear(q, q, MATRICES), 1, (3, 3))
+
+
+def _bilinear(p: Tensor, q: Tensor, table: Tensor) -> Tensor:
+    """Return what the products of two entries each of ``p`` and ``q (B, 4)`` are by a table.
+
+    One product with a matrix ``(16, outputs)``: a network's geometry is of few numbers, and costs
+    by the number of its operators.
+    """
+    return (p[:, :, None] * q[:, None]).flatten(1) @ table.to(q)
+
+
+def _tables() -> tuple[Tensor, Tensor]:
+    """Return the matrices ``(16, 4)`` of a product ``p q``, and ``(16, 9)`` of ``q v conj(q)``."""
+    product = torch.zeros(4, 4, 4)
+    for i, j in itertools.product(range(4), repeat=2):
+        product[i, j, i ^ j] = SIGNS[i, j]
+    rotated = torch.einsum("ibm,mja,j->ijab", product, product, INVERSE)[:, :, 1:, 1:]
+    return product.flatten(0, 1), rotated.reshape(16, 9)
+
+
+PRODUCTS, MATRICES = _tables()
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
@@ -28,19 +61,8 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     Of the four expressions for the quaternion times one of its own entries, the one with the
     largest entry is used for each matrix, so that no division is by a small number.
     """
-    m = matrix
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
-    rows = torch.stack(
-        [
-            torch.stack([1 + xx + yy + zz, wx, wy, wz], dim=-1),
-            torch.stack([wx, 1 + xx - yy - zz, xy, xz], dim=-1),
-            torch.stack([wy, xy, 1 - xx + yy - zz, yz], dim=-1),
-            torch.stack([wz, xz, yz, 1 - xx - yy + zz], dim=-1),
-        ],
-        dim=1,
-    )  # (B, 4, 4): row i is 4 q_i q
+    products = matrix.flatten(1) @ MATRICES.mT.to(matrix)
+    rows = torch.unflatten(products, 1, (4, 4)) + torch.eye(4).to(matrix)  # row i is 4 q_i q
     best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
     row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
     return F.normalize(row, dim=-1)
@@ -59,15 +81,16 @@ def nearest_equivalent(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
 
     All are unit quaternions, ``(B, 4)``; ``rotations (G, 4)`` are those of the group.
     """
-    inverse = q.new_tensor([1.0, -1.0, -1.0, -1.0])
-    between = rotation_between(q_hat * inverse, q * inverse)  # conj(q) q_hat
+    between = quaternion_product(conjugate(q), q_hat)
     chosen = rotations[(between @ rotations.mT).abs().argmax(dim=1)]
-    return rotation_between(chosen * inverse, q)
+    return quaternion_product(q, chosen)
 
 
 def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     """Return the rotations ``q_to conj(q_from)`` of unit quaternions ``(B, 4)``."""
-    a, v = q_to[:, :1], q_to[:, 1:]
-    b, u = q_from[:, :1], -q_from[:, 1:]
-    scalar = a * b - (v * u).sum(-1, keepdim=True)
-    return torch.cat((scalar, a * u + b * v + torch.linalg.cross(v, u)), dim=1)
+    return quaternion_product(q_to, conjugate(q_from))
+
+
+def conjugate(q: Tensor) -> Tensor:
+    """Return the conjugates ``(B, 4)``, the inverse rotations of unit quaternions."""
+    return q * INVERSE.to(q)

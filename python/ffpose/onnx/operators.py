@@ -6,7 +6,7 @@ where it is a constant. `ffpose.onnx.matmul` replaces it by standard operators.
 
 ``ffpose::SamplePyramid(homographies, levels, plane, finest, half, quarter, eighth) -> y`` is
 `ffpose.nn.pyramid.sample_pyramid`, float32, of the same library. Without a translation torch
-writes the standard operators that it consists of.
+writes the standard operators that it consists of. `ffpose.nn.pyramid.halve` is an AveragePool.
 """
 
 from __future__ import annotations
@@ -40,10 +40,16 @@ def translations(*, standard: bool = False) -> dict[Callable[..., Any], Callable
         torch.ops.aten.scaled_dot_product_attention.default: translate_attention,
         torch.ops.ffpose.spectral_filter.default: _spectral_filter,
         torch.ops.ffpose.normalize_quaternion.default: _normalize_quaternion,
+        torch.ops.ffpose.halve.default: _halve,
     }
     if not standard:
         table[torch.ops.ffpose.sample_pyramid.default] = _sample_pyramid
     return table
+
+
+def _halve(images: Any) -> Any:
+    op = require("onnxscript", "export").opset18
+    return op.AveragePool(images, kernel_shape=[2, 2], strides=[2, 2])
 
 
 def _sample_pyramid(homographies: Any, levels: Any, plane: Any, pyramid: Sequence[Any]) -> Any:

@@ -274,7 +274,7 @@ class PatchBatches:
         height, width = frames.shape[-2:]
         limit, device = math.radians(self.augmentation.roll_deg), self.device
         angles = limit * (2 * torch.rand(len(t), generator=generator, device=device) - 1)
-        turn = turned_about_axis(angles)
+        turn = quaternion_to_matrix(turned_about_axis(angles))
         mirrored = torch.randint(2, (len(t), 1), generator=generator, device=device)
         turn[:, :, 0] *= 1 - 2 * mirrored
         moved = (turn @ t[:, :, None])[..., 0]
@@ -301,7 +301,8 @@ class PatchBatches:
         error = torch.randn(len(t), 3, generator=generator, device=device) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
-        points = (toward(t) @ torch.cat((lateral, distance), dim=1)[:, :, None])[..., 0]
+        places = torch.cat((lateral, distance), dim=1)[:, :, None]
+        points = (quaternion_to_matrix(toward(t)) @ places)[..., 0]
         return in_front(points * torch.exp(a.look_distance * error[:, 2:]))
 
     def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:

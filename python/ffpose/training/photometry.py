@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ffpose.nn.pyramid import halve
 from ffpose.training.config import PatchAugmentation
 
 SUPPLY = 1 << 21
@@ -90,5 +91,5 @@ def _monochrome(images: Tensor, weights: Tensor) -> Tensor:
 
 
 def _smooth(images: Tensor) -> Tensor:
-    coarse = F.avg_pool2d(images, 2)
+    coarse = halve(images)
     return F.interpolate(coarse, images.shape[-2:], mode="bilinear")
