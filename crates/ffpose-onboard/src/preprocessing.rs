@@ -92,10 +92,11 @@ impl Preprocessing {
             return Ok(None);
         };
         let mut input = Vec::with_capacity(window.pixels.len());
-        for channel in 0..3 {
-            let (mean, std) = (self.mean[channel], self.std[channel]);
-            let samples = window.pixels[channel..].iter().step_by(3);
-            input.extend(samples.map(|&value| (f32::from(value) / 255.0 - mean) / std));
+        for (channel, (mean, std)) in self.mean.into_iter().zip(self.std).enumerate() {
+            let values: [f32; 256] =
+                std::array::from_fn(|sample| (sample as f32 / 255.0 - mean) / std);
+            let pixels = window.pixels.chunks_exact(3);
+            input.extend(pixels.map(|pixel| values[usize::from(pixel[channel])]));
         }
         Ok(Some(input))
     }

@@ -153,20 +153,51 @@ fn is_column_first(across: &Axis, down: &Axis) -> bool {
     down.lost() > 2 * across.lost()
 }
 
+/// Resizes across, for rows of one length.
 fn resize_rows(rows: &[&[u8]], taps: &[Taps]) -> Vec<u8> {
+    // Sums of so few taps are compiled without a loop.
+    match taps.iter().map(|taps| taps.weights.len()).max() {
+        Some(2) => resize_rows_by::<2>(rows, taps),
+        Some(3) => resize_rows_by::<3>(rows, taps),
+        Some(4) => resize_rows_by::<4>(rows, taps),
+        Some(5) => resize_rows_by::<5>(rows, taps),
+        Some(6) => resize_rows_by::<6>(rows, taps),
+        _ => {
+            let pixel = |row: &&[u8], taps: &Taps| weighted(&taps.weights, &row[3 * taps.first..]);
+            rows.iter().flat_map(|row| taps.iter().flat_map(move |taps| pixel(row, taps))).collect()
+        }
+    }
+}
+
+/// The same for at most `N` taps, of which rows have as many pixels.
+fn resize_rows_by<const N: usize>(rows: &[&[u8]], taps: &[Taps]) -> Vec<u8> {
+    let last = rows.first().map_or(0, |row| row.len() / 3 - N);
+    let padded = |taps: &Taps| {
+        let first = taps.first.min(last);
+        let mut weights = [0; N];
+        weights[taps.first - first..][..taps.weights.len()].copy_from_slice(&taps.weights);
+        (3 * first, weights)
+    };
+    let taps: Vec<_> = taps.iter().map(padded).collect();
     let mut result = Vec::with_capacity(3 * rows.len() * taps.len());
     for row in rows {
-        for Taps { first, weights } in taps {
-            let mut sums = [1 << (BITS - 1); 3];
-            for (weight, pixel) in weights.iter().zip(row[3 * first..].chunks_exact(3)) {
-                for (sum, &value) in sums.iter_mut().zip(pixel) {
-                    *sum += weight * i32::from(value);
-                }
-            }
-            result.extend(sums.map(rounded));
+        for (first, weights) in &taps {
+            result.extend(weighted(weights, &row[*first..][..3 * N]));
         }
     }
     result
+}
+
+/// The sums of as many pixels as there are weights, by channel.
+#[inline]
+fn weighted(weights: &[i32], pixels: &[u8]) -> [u8; 3] {
+    let mut sums = [1 << (BITS - 1); 3];
+    for (weight, pixel) in weights.iter().zip(pixels.chunks_exact(3)) {
+        for (sum, &value) in sums.iter_mut().zip(pixel) {
+            *sum += weight * i32::from(value);
+        }
+    }
+    sums.map(rounded)
 }
 
 /// Resizes down, for rows of one length.
