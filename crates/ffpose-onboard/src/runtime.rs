@@ -39,7 +39,7 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
         .with_log_level(LogLevel::Fatal)
         .map_err(|error| refused(&error))?;
     if !has_vnni() {
-        // Without it sums of int8 products saturate on x86-64; it has no effect on other processors.
+        // Without it sums of int8 products saturate on x86-64; it has no effect on other architectures.
         builder = builder.with_precise_qmm().map_err(|error| refused(&error))?;
     }
     if let Some(threads) = options.threads {
@@ -52,7 +52,7 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
     session.map_err(|error| refused(&error).of(options.model.display()))
 }
 
-/// Whether the processor sums products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI), where 16 saturate.
+/// Whether the processor adds products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI); others add pairs in 16, which saturate.
 fn has_vnni() -> bool {
     #[cfg(target_arch = "x86_64")]
     return is_x86_feature_detected!("avxvnni")

@@ -25,6 +25,21 @@ fn expect_processor() -> PyResult<()> {
     Ok(())
 }
 
+/// Whether the processor adds products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI); others add pairs in 16, which saturate.
+///
+/// `ffpose-onboard`, which depends on nothing here, has the same.
+#[pyfunction]
+fn has_vnni() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return is_x86_feature_detected!("avxvnni")
+        || is_x86_feature_detected!("avx512vnni")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl");
+    #[cfg(not(target_arch = "x86_64"))]
+    false
+}
+
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
 ///
 /// What a call reads and writes is noted under the interpreter's lock (`in_use`).
@@ -35,6 +50,8 @@ mod _rust {
     #[pymodule_export]
     use super::earth::shade_earth;
     #[pymodule_export]
+    use super::has_vnni;
+    #[pymodule_export]
     use super::noise::fractal_noise;
     #[pymodule_export]
     use super::pose::{
@@ -44,7 +61,7 @@ mod _rust {
     };
     #[pymodule_export]
     use super::spectral::{
-        filter_tensors, filter_tensors_backward, has_vnni, isa, isas, spectral_filter,
+        filter_tensors, filter_tensors_backward, isa, isas, spectral_filter,
         spectral_filter_backward,
     };
     #[pymodule_export]

@@ -226,19 +226,6 @@ fn with_scratch<R>(compute: impl FnOnce(&mut Scratch) -> R) -> R {
     SCRATCHES.lend(compute)
 }
 
-/// Whether the processor sums products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI), where 16 saturate.
-#[pyfunction]
-pub(crate) fn has_vnni() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    return is_x86_feature_detected!("avxvnni")
-        || is_x86_feature_detected!("avx512vnni")
-            && is_x86_feature_detected!("avx512bw")
-            && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl");
-    #[cfg(not(target_arch = "x86_64"))]
-    false
-}
-
 /// The names of the instruction sets that this machine has, slowest first.
 #[pyfunction]
 pub(crate) fn isas() -> Vec<&'static str> {

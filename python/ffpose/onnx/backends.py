@@ -92,7 +92,7 @@ class OnnxRuntimeSession:
         if not wanted or not set(wanted) <= set(known):
             raise ValueError(f"providers: expected some of {known}, got {wanted}")
         options = self.runtime.SessionOptions()
-        if not has_vnni():  # int8 sums saturate on x86-64 then; no effect on other processors
+        if not has_vnni():  # int8 sums saturate on x86-64; no effect elsewhere
             options.add_session_config_entry("session.x64quantprecision", "1")
         if threads is not None:
             options.intra_op_num_threads = threads

@@ -171,6 +171,7 @@ impl Loops for Row<'_> {
             for (channel, mut y) in self.y.axis_iter_mut(Axis(1)).enumerate() {
                 let pixels = &self.pixels[channel * area..][..area];
                 let y = &mut y.as_slice_mut().expect("a row")[start..start + len];
+                // Of as many, so that `n` needs no check.
                 for (n, y) in y.iter_mut().take(BLOCK).enumerate() {
                     let part = |corner: usize| {
                         samples.weights[corner][n] * pixels[samples.places[corner][n] as usize]
