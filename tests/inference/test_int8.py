@@ -248,13 +248,24 @@ def test_int8_and_calibrate_belong_together(words, capsys):
 def test_sums_are_the_same_with_vnni_and_with_the_kernels_that_do_without(
     graph, images, tmp_path, monkeypatch
 ):
-    """Their arithmetic is in whole numbers; the largest sums saturate 16 bits."""
+    """Their arithmetic is in whole numbers."""
     out = tmp_path / "int8.onnx"
     int8.quantize_graph(graph, out, images)
     estimate = load(out)
     found = estimate(images[0])
     monkeypatch.setattr("ffpose.onnx.backends.has_vnni", lambda: False)
     assert load(out)(images[0]) == found
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_the_precise_mode_is_for_processors_without_vnni(graph, monkeypatch, has):
+    monkeypatch.setattr("ffpose.onnx.backends.has_vnni", lambda: has)
+    options = load(graph).session.session.get_session_options()
+    if has:
+        with pytest.raises(RuntimeError, match="x64quantprecision"):
+            options.get_session_config_entry("session.x64quantprecision")
+    else:
+        assert options.get_session_config_entry("session.x64quantprecision") == "1"
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="Linux tells them there")

@@ -15,7 +15,7 @@ from ffpose.models.second_look import (
     OFFSET_SCALE,
     covariances,
     offset_of,
-    points_at,
+    placed,
     truncation,
 )
 from ffpose.models.virtual_camera import pyramid, render_virtual
@@ -74,11 +74,11 @@ def looked(model, twist):
         crops = render_virtual(pyramid(images().double()), view, points, model.intrinsics)
         numbers = model.decode(model.encode(crops, view.tan_half_angle))
         matrix = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
-        point = points_at(numbers.offset, view)
+    look = placed(numbers, view)
     return {
-        "t": view.points_back(point),
+        "t": view.points_back(look.point),
         "R": view.rotation.mT @ matrix,
-        "covariances": torch.stack(covariances(numbers, view, point)),
+        "covariances": torch.stack(covariances(look)),
         "log_sigma": numbers.log_sigma,
         "in_view": numbers.in_view,
     }

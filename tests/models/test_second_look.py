@@ -21,6 +21,7 @@ from ffpose.models.second_look import (
     in_front,
     offset_jacobian,
     offset_of,
+    placed,
     points_at,
     sigma_loss,
     split_output,
@@ -50,11 +51,7 @@ def offsets(generator, most=2.8):
 
 
 def one_view(view, i):
-    return view._replace(
-        rotation=view.rotation[i : i + 1],
-        focal=view.focal[i : i + 1],
-        distance=view.distance[i : i + 1],
-    )
+    return view.of(slice(i, i + 1))
 
 
 def point_seen(view, offset):
@@ -110,7 +107,7 @@ def numbers_for(offset, log_sigma):
 
 
 def covariances_of(numbers, view):
-    return covariances(numbers, view, points_at(numbers.offset, view))
+    return covariances(placed(numbers, view))
 
 
 def test_covariances_are_symmetric_and_positive(generator, view):
@@ -261,7 +258,7 @@ def test_sigma_loss_with_a_shear_is_the_likelihood_under_both_covariances(genera
     numbers = numbers_of(log_sigma, shear)
     ahead = torch.tensor([[0.0, 0.0, 1.0]]).double().expand(COUNT, 3)
     view = turn_to(ahead, 1.0, SIZE)
-    _, rotation = covariances(numbers, view, ahead)
+    _, rotation = covariances_of(numbers._replace(offset=torch.zeros(COUNT, 3).double()), view)
     blocks = (covariance_of(log_sigma[:, :3], shear[:, :2]), rotation)
     expected = sum(
         t_log_likelihood(part, block)

@@ -75,9 +75,13 @@ def test_a_twist_is_a_rotation_about_z(generator):
 
 
 def test_rotation_and_quaternion_of_a_camera_are_one(generator):
-    _, view = turned_views(generator, 50)
-    expected = Rotation.from_quat(view.quaternion.numpy(), scalar_first=True).as_matrix()
-    np.testing.assert_allclose(view.rotation.numpy(), expected, atol=1e-12)
+    views = [turned_views(generator, 50)[1] for _ in range(2)]
+    taken = torch.from_numpy(generator.random(50) < 0.5)
+    for view in (views[0], views[0].of(taken), views[0].where(taken, views[1])):
+        expected = Rotation.from_quat(view.quaternion.numpy(), scalar_first=True).as_matrix()
+        np.testing.assert_allclose(view.rotation.numpy(), expected, atol=1e-12)
+    assert torch.equal(view.quaternion[taken], views[0].quaternion[taken])
+    assert torch.equal(view.quaternion[~taken], views[1].quaternion[~taken])
 
 
 def test_the_target_is_in_the_middle_and_the_radius_at_the_edge(generator):

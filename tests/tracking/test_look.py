@@ -11,6 +11,7 @@ from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.geometry.symmetry import IDENTITY
 from ffpose.inference.load import load
 from ffpose.models import build_network
+from ffpose.models.second_look import placed
 from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.follow import follow
@@ -60,7 +61,8 @@ def test_it_is_the_second_look_alone(weights):
     images = torch.from_numpy(x)
     with torch.inference_mode():
         crop = render_virtual(pyramid(images), view, where, network.intrinsics)
-        wanted = network._pose(network.decode(network.encode(crop, view.tan_half_angle)), view)
+        output = network.decode(network.encode(crop, view.tan_half_angle))
+        wanted = network._pose(placed(output, view))
     np.testing.assert_allclose(got["in_view"], wanted.in_view, atol=1e-6)
     np.testing.assert_allclose(got["orientation"], wanted.orientation, atol=1e-5)
     assert np.linalg.norm(got["translation"] - estimator.run(x)["translation"]) > 1e-3

@@ -148,3 +148,12 @@ def uncompiled(module: Module) -> Module:
 def multiplies_bfloat16() -> bool:
     """Return whether this processor is known to have instructions for products of bfloat16."""
     return any(bool(has()) for has in _bfloat16_products if has is not None)
+
+
+def constant(values: Sequence[Any]) -> Tensor:
+    """Return a tensor for a module's constant, whatever mode and device its import happens in.
+
+    An inference tensor could not be saved for backward, and one of ``meta`` has no values.
+    """
+    with torch.inference_mode(mode=False), torch.device("cpu"):
+        return torch.tensor(values)

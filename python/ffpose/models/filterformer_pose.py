@@ -32,8 +32,7 @@ from ffpose.models.second_look import (
     calibrated,
     covariances,
     half_in_learned_parts,
-    in_front,
-    points_at,
+    placed,
     split_output,
 )
 from ffpose.models.virtual_camera import (
@@ -254,11 +253,11 @@ class FilterformerPose(FrameNetwork):
         """Look at points ``(B, 3)``; the covariances are multiplied by ``variance_scales``."""
         view = self.view_at(points)
         output = self.decode(self.encode(render_virtual(levels, view, points, self.intrinsics)))
+        look = placed(output, view)
         q = view.turned_back(self.orientation.decode(output.orientation))
-        point = points_at(output.offset, view)
-        translation, rotation = covariances(output, view, point)
+        translation, rotation = covariances(look)
         return UncertainPose(
-            in_front(view.points_back(point)),
+            look.place,
             q,
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -29,16 +29,16 @@ from ffpose.models.base import BaseNetwork, UncertainPose
 from ffpose.models.heat_map import HeatMap
 from ffpose.models.polar_second_look import PolarBackbone, PolarHead, map_angles
 from ffpose.models.second_look import (
+    SecondLook,
     SecondLookOutput,
     calibrated,
     covariances,
     half_in_learned_parts,
     in_front,
-    points_at,
+    placed,
 )
 from ffpose.models.virtual_camera import (
     VirtualCamera,
-    chosen,
     downsampled,
     pyramid,
     render_virtual,
@@ -151,7 +151,7 @@ class PolarPose(BaseNetwork):
         output, view = self._look_at(pyramid(images), in_front(points))
         across, along = self.config.look_slope
         slopes = output.offset.new_tensor([across, across, along])
-        pose = self._pose(_placed(output._replace(offset=output.offset / slopes), view))
+        pose = self._pose(placed(output._replace(offset=output.offset / slopes), view))
         if self.config.looks > 1:
             pose = pose._replace(
                 translation_covariance=pose.translation_covariance * ONE_LOOK_VARIANCE,
@@ -167,7 +167,7 @@ class PolarPose(BaseNetwork):
         if turned:
             points = FARTHER * points
             twist = points.new_full(points.shape[:1], math.pi / self.config.object_grid[1])
-        return _placed(*self._look_at(levels, points, twist))
+        return placed(*self._look_at(levels, points, twist))
 
     def _look_at(
         self, levels: Sequence[Tensor], points: Tensor, twist: Tensor | None = None
@@ -179,7 +179,7 @@ class PolarPose(BaseNetwork):
     def _pose(self, look: SecondLook) -> UncertainPose:
         """Return the poses that second looks found, in the camera's frame."""
         modes = self.orientation.modes(look.output.orientation)
-        translation, rotation = covariances(look.output, look.view, look.point)
+        translation, rotation = covariances(look)
         return UncertainPose(
             look.place,
             look.view.turned_back(modes.orientation),
@@ -241,33 +241,6 @@ class NearPoint(nn.Module):
     def forward(self, images: Tensor, point: Tensor) -> UncertainPose:
         """Predict poses of objects near points, as `PolarPose.predict_near`."""
         return self.network.predict_near(images, point)
-
-
-class SecondLook(NamedTuple):
-    """Second looks of a batch, and where they found the object.
-
-    Attributes:
-        output: What the network says of the view.
-        view: The virtual cameras.
-        point: ``(B, 3)``, the object's origin, virtual camera's frame, meters.
-        place: ``(B, 3)``, the same in the camera's frame, and in front of it.
-    """
-
-    output: SecondLookOutput
-    view: VirtualCamera
-    point: Tensor
-    place: Tensor
-
-    def where(self, taken: Tensor, other: SecondLook) -> SecondLook:
-        """Return these looks where ``taken (B,)`` is true, and ``other`` where it is not."""
-        output, view = self.output.where(taken, other.output), self.view.where(taken, other.view)
-        points = (chosen(taken, *pair) for pair in zip(self[2:], other[2:], strict=True))
-        return SecondLook(output, view, *points)
-
-
-def _placed(output: SecondLookOutput, view: VirtualCamera) -> SecondLook:
-    point = points_at(output.offset, view)
-    return SecondLook(output, view, point, in_front(view.points_back(point)))
 
 
 def _mean(translation: Tensor, orientation: Tensor, other: UncertainPose) -> UncertainPose:

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import torch
 from torch import Tensor, nn
 
+from ffpose._internal.torch_internals import constant
 from ffpose.config import SecondLookConfig
 from ffpose.models.base import UncertainPose
 from ffpose.models.virtual_camera import VirtualCamera, chosen
@@ -159,13 +160,15 @@ def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
 def offset_jacobian(point: Tensor, view: VirtualCamera) -> Tensor:
     """Return the derivatives ``(B, 3, 3)`` of `points_at` with respect to the offset.
 
-    They are those at the offset of the ``point (B, 3)`` that `points_at` returns.
+    They are those at the offset whose point is ``point (B, 3)``.
     """
     distance = point.norm(dim=1, keepdim=True)
     ray = point / distance  # (B, 3)
     # Meters per unit of the offset, as the ray is normalized again.
     slope = distance * ray[:, 2:] * _tangent_of_one(view)
-    across = torch.eye(3, 2).to(ray) - ray[:, :, None] * ray[:, None, :2]
+    across = (
+        torch.eye(3, 2, dtype=ray.dtype, device=ray.device) - ray[:, :, None] * ray[:, None, :2]
+    )
     return torch.cat((across * slope[:, None], point[:, :, None] / OFFSET_SCALE), dim=2)
 
 
@@ -174,18 +177,14 @@ def _tangent_of_one(view: VirtualCamera) -> Tensor:
     return (view.width / OFFSET_SCALE / view.focal)[:, None]
 
 
-def covariances(
-    output: SecondLookOutput, view: VirtualCamera, point: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
-
-    ``point (B, 3)`` is the object's in the virtual camera's frame, as of `points_at`.
-    """
+def covariances(look: SecondLook) -> tuple[Tensor, Tensor]:
+    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame."""
+    output, view = look.output, look.view
     log_sigma = torch.unflatten(output.log_sigma, 1, (2, 3))
     shear = None if output.shear is None else torch.unflatten(output.shear, 1, (2, 2))
     offset, rotation = covariance_of(log_sigma, shear).unbind(1)
     back = view.rotation.mT
-    to_camera = back @ offset_jacobian(point, view)
+    to_camera = back @ offset_jacobian(look.point, view)
     return to_camera @ offset @ to_camera.mT, back @ rotation @ view.rotation
 
 
@@ -202,11 +201,13 @@ def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
         return torch.diag_embed(variance)
     length = 2 * shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
     parts = (length.cosh(), 2 * shear * (length.sinh() / length), torch.ones_like(length))
-    blocks = torch.unflatten(torch.cat(parts, dim=-1) @ BLOCKS.to(length), -1, (3, 3))
+    blocks = torch.unflatten(
+        torch.cat(parts, dim=-1) @ BLOCKS.to(length, non_blocking=True), -1, (3, 3)
+    )
     return blocks * variance[..., None]
 
 
-BLOCKS = torch.tensor(
+BLOCKS = constant(
     [
         [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
         [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0],
@@ -221,6 +222,34 @@ def in_front(points: Tensor) -> Tensor:
     """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
     least = points.norm(dim=-1, keepdim=True) / 10
     return torch.cat((points[:, :2], torch.maximum(points[:, 2:], least)), dim=1)
+
+
+class SecondLook(NamedTuple):
+    """Second looks of a batch, and where they found the object.
+
+    Attributes:
+        output: What the network says of the view.
+        view: The virtual cameras.
+        point: ``(B, 3)``, the object's origin, virtual camera's frame, meters.
+        place: ``(B, 3)``, the same in the camera's frame, and in front of it.
+    """
+
+    output: SecondLookOutput
+    view: VirtualCamera
+    point: Tensor
+    place: Tensor
+
+    def where(self, taken: Tensor, other: SecondLook) -> SecondLook:
+        """Return these looks where ``taken (B,)`` is true, and ``other`` where it is not."""
+        output, view = self.output.where(taken, other.output), self.view.where(taken, other.view)
+        points = (chosen(taken, *pair) for pair in zip(self[2:], other[2:], strict=True))
+        return SecondLook(output, view, *points)
+
+
+def placed(output: SecondLookOutput, view: VirtualCamera) -> SecondLook:
+    """Return the looks with the places that their offsets mean."""
+    point = points_at(output.offset, view)
+    return SecondLook(output, view, point, in_front(view.points_back(point)))
 
 
 def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ffpose._internal.torch_internals import constant
 from ffpose.geometry.warping import LEAST_DEPTH, sample_planes, source_planes
 from ffpose.imaging.patches import LEVELS, SHARPNESS
 from ffpose.nn.pyramid import halve, sample_pyramid
@@ -143,13 +144,13 @@ def toward(directions: Tensor) -> Tensor:
     -z.
     """
     length = directions.norm(dim=-1, keepdim=True)
-    # Half the angle's cosine times 2 |d| is |d| + z, and its sine times that (-y, x, 0).
-    least = torch.cat((length, directions), dim=-1) @ LEAST.to(directions)
+    # (|d| + z, -y, x, 0) is the unit quaternion times 2 |d| and half the angle's cosine.
+    least = torch.cat((length, directions), dim=-1) @ LEAST.to(directions, non_blocking=True)
     unit: Tensor = least / least.norm(dim=-1, keepdim=True)
     return unit
 
 
-LEAST = torch.tensor(
+LEAST = constant(
     [
         [1.0, 0.0, 0.0, 0.0],
         [0.0, 0.0, 1.0, 0.0],

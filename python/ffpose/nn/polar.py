@@ -183,14 +183,15 @@ class PolarBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return the map ``(B, radii, angles, channels)`` for one of the same shape."""
         x = self.attention(x)
-        cells = self.norm(self.mixer(x)).flatten(0, 2)  # of which graphs make products with a bias
+        cells = self.norm(self.mixer(x)).flatten(0, 2)  # rows: a graph has one Gemm of each Linear
         hidden = self.down(F.relu(self.up(cells), inplace=True))
         return x + torch.unflatten(hidden, 0, (-1, *x.shape[1:3]))
 
 
 def half_turned(x: Tensor, dim: int) -> Tensor:
     """Return a map whose angles, axis ``dim``, are shifted by half a turn."""
-    return x.roll(x.shape[dim] // 2, dim)
+    half = x.shape[dim] // 2  # not `roll`, which on CUDA gives up channels last
+    return torch.cat((x.narrow(dim, half, half), x.narrow(dim, 0, half)), dim=dim)
 
 
 def through_origin(x: Tensor, radii: int) -> Tensor:

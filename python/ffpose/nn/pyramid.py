@@ -27,9 +27,10 @@ torch.library.define(HALVE, "(Tensor images) -> Tensor", tags=(torch.Tag.pt2_com
 
 
 def halve(images: Tensor) -> Tensor:
-    """Return the means ``(..., H // 2, W // 2)`` of 2 x 2 pixels of images ``(..., H, W)``.
+    """Return the means ``(B, C, H // 2, W // 2)`` of 2 x 2 pixels of images ``(B, C, H, W)``.
 
-    Several times as fast on a CPU as torch's average pooling.
+    The images are of floating-point numbers. Several times as fast on a CPU as torch's average
+    pooling.
     """
     halved: Tensor = torch.ops.ffpose.halve.default(images)
     return halved

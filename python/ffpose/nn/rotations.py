@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-SIGNS = torch.tensor([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]])
-"""Signs of the products of the units 1, i, j and k; their product is the unit of the number that
-the exclusive or of their numbers is."""
+from ffpose._internal.torch_internals import constant
 
+SIGNS = ((1, 1, 1, 1), (1, -1, 1, -1), (1, -1, -1, 1), (1, 1, -1, -1))
+"""Unit ``m`` times unit ``n`` is ``SIGNS[m][n]`` times unit ``m ^ n``, for 1, i, j and k."""
 
-INVERSE = torch.tensor([1.0, -1.0, -1.0, -1.0])
+INVERSE = constant((1.0, -1.0, -1.0, -1.0))
 """Signs of the conjugate's entries."""
 
 
 def quaternion_product(p: Tensor, q: Tensor) -> Tensor:
     """Return the Hamilton products ``p q (B, 4)`` of quaternions ``(B, 4)``.
 
-    Of rotations that by ``q`` is the first.
+    As rotations: first ``q``, then ``p``.
     """
     return _bilinear(p, q, PRODUCTS)
 
@@ -40,16 +41,18 @@ def _bilinear(p: Tensor, q: Tensor, table: Tensor) -> Tensor:
     One product with a matrix ``(16, outputs)``: a network's geometry is of few numbers, and costs
     by the number of its operators.
     """
-    return (p[:, :, None] * q[:, None]).flatten(1) @ table.to(q)
+    return (p[:, :, None] * q[:, None]).flatten(1) @ table.to(q, non_blocking=True)
 
 
 def _tables() -> tuple[Tensor, Tensor]:
     """Return the matrices ``(16, 4)`` of a product ``p q``, and ``(16, 9)`` of ``q v conj(q)``."""
-    product = torch.zeros(4, 4, 4)
-    for i, j in itertools.product(range(4), repeat=2):
-        product[i, j, i ^ j] = SIGNS[i, j]
-    rotated = torch.einsum("ibm,mja,j->ijab", product, product, INVERSE)[:, :, 1:, 1:]
-    return product.flatten(0, 1), rotated.reshape(16, 9)
+    product = np.zeros((4, 4, 4))
+    for m, n in itertools.product(range(4), repeat=2):
+        product[m, n, m ^ n] = SIGNS[m][n]
+    rotated = np.einsum("ibm,mja,j->ijab", product, product, INVERSE.numpy())
+    tables = product.reshape(16, 4), rotated[:, :, 1:, 1:].reshape(16, 9)
+    first, second = (constant(table.tolist()) for table in tables)
+    return first, second
 
 
 PRODUCTS, MATRICES = _tables()
@@ -61,8 +64,10 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     Of the four expressions for the quaternion times one of its own entries, the one with the
     largest entry is used for each matrix, so that no division is by a small number.
     """
-    products = matrix.flatten(1) @ MATRICES.mT.to(matrix)
-    rows = torch.unflatten(products, 1, (4, 4)) + torch.eye(4).to(matrix)  # row i is 4 q_i q
+    products = matrix.flatten(1) @ MATRICES.mT.to(matrix, non_blocking=True)
+    rows = torch.unflatten(products, 1, (4, 4)) + torch.eye(
+        4, dtype=matrix.dtype, device=matrix.device
+    )  # row i is 4 q_i q
     best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
     row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
     return F.normalize(row, dim=-1)
@@ -93,4 +98,4 @@ def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
 
 def conjugate(q: Tensor) -> Tensor:
     """Return the conjugates ``(B, 4)``, the inverse rotations of unit quaternions."""
-    return q * INVERSE.to(q)
+    return q * INVERSE.to(q, non_blocking=True)
