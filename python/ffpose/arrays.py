@@ -359,6 +359,14 @@ def instruction_set() -> str:
     return _rust.isa()
 
 
+def has_vnni() -> bool:
+    """Return whether the processor adds products of 8-bit numbers in 32 bits.
+
+    AVX512-VNNI and AVX-VNNI of x86-64 do; older ones add pairs of them in 16, which saturate.
+    """
+    return _rust.has_vnni()
+
+
 def _pose_arrays(
     t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ffpose._rust import has_vnni
+from ffpose.arrays import has_vnni
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol, get_args
 
 from numpy.typing import NDArray
 
-from ffpose._rust import has_vnni
+from ffpose.arrays import has_vnni
 from ffpose.errors import expect, require
 from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import Filter
