@@ -166,9 +166,8 @@ def offset_jacobian(point: Tensor, view: VirtualCamera) -> Tensor:
     ray = point / distance  # (B, 3)
     # Meters per unit of the offset, as the ray is normalized again.
     slope = distance * ray[:, 2:] * _tangent_of_one(view)
-    across = (
-        torch.eye(3, 2, dtype=ray.dtype, device=ray.device) - ray[:, :, None] * ray[:, None, :2]
-    )
+    unit = torch.eye(3, 2, dtype=ray.dtype, device=ray.device)
+    across = unit - ray[:, :, None] * ray[:, None, :2]
     return torch.cat((across * slope[:, None], point[:, :, None] / OFFSET_SCALE), dim=2)
 
 
@@ -201,10 +200,8 @@ def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
         return torch.diag_embed(variance)
     length = 2 * shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
     parts = (length.cosh(), 2 * shear * (length.sinh() / length), torch.ones_like(length))
-    blocks = torch.unflatten(
-        torch.cat(parts, dim=-1) @ BLOCKS.to(length, non_blocking=True), -1, (3, 3)
-    )
-    return blocks * variance[..., None]
+    blocks = torch.cat(parts, dim=-1) @ BLOCKS.to(length, non_blocking=True)
+    return torch.unflatten(blocks, -1, (3, 3)) * variance[..., None]
 
 
 BLOCKS = constant(

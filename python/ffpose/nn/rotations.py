@@ -65,9 +65,8 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     largest entry is used for each matrix, so that no division is by a small number.
     """
     products = matrix.flatten(1) @ MATRICES.mT.to(matrix, non_blocking=True)
-    rows = torch.unflatten(products, 1, (4, 4)) + torch.eye(
-        4, dtype=matrix.dtype, device=matrix.device
-    )  # row i is 4 q_i q
+    one = torch.eye(4, dtype=matrix.dtype, device=matrix.device)
+    rows = torch.unflatten(products, 1, (4, 4)) + one  # row i is 4 q_i q
     best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
     row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
     return F.normalize(row, dim=-1)
