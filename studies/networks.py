@@ -2,7 +2,7 @@
 
 One backbone for all, and whole images: what differs is what follows the feature maps, and what the
 orientation is trained on. The learning rate is constant after its warm-up and the validated weights
-are a moving average, as in the study attitude.
+are a moving average, as in the study mixers.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from dataclasses import replace
 from typing import Any
 
 from ffpose.training.config import LossConfig
-from studies.attitude import BASE as ATTITUDE_BASE
+from studies.mixers import BASE as MIXERS_BASE
 from studies.study import Study, Variant
 
 IMAGE = {"image_size": [96, 128], "backbone": "compact_resnet_narrow"}
 
 BASE = replace(
-    ATTITUDE_BASE,
+    MIXERS_BASE,
     data=replace(
-        ATTITUDE_BASE.data,
+        MIXERS_BASE.data,
         count=3000,
         attitude_range_deg=(30.0, 30.0, 30.0),
         augmentation={"roll": 10.0, "contrast": 0.0, "saturation": 0.0, "noise": 0.04},

@@ -12,7 +12,7 @@ import PIL
 import pytest
 from PIL import Image
 
-from ffpose.config import CONFIGS
+from ffpose.config import PRESETS
 from ffpose.geometry import Camera
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.prediction import Prediction
@@ -66,7 +66,7 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     graph = helper.make_graph(nodes, "projections", [images], outputs, constants)
     opsets = [helper.make_opsetid("", 18)]
     model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
-    config = replace(CONFIGS["tiny"], image_size=SIZE, camera=view)
+    config = replace(PRESETS["tiny"], image_size=SIZE, camera=view)
     metadata = ModelMetadata(config, how or Preprocessing(SIZE), "none", CAMERA, 0.5)
     helper.set_model_props(model, metadata.to_entries() | entries)
     return model.SerializeToString()
@@ -146,7 +146,7 @@ def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, rotati
     graph = helper.make_graph(nodes, "steady", inputs, outputs, kept)
     opsets = [helper.make_opsetid("", 18)]
     model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
-    config = replace(CONFIGS["compact"], image_size=SIZE, degrees_of_freedom=(5.0, 4.0))
+    config = replace(PRESETS["polar"], image_size=SIZE, degrees_of_freedom=(5.0, 4.0))
     plain = Preprocessing(SIZE, mean=(0, 0, 0), std=(1, 1, 1))
     told = {"weights_sha256": "ab" * 32, "tracking": {"attitude_angle": 18}} | fields
     metadata = ModelMetadata(config, plain, "none", CAMERA, 0.5, takes_point=takes_point, **told)

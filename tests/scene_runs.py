@@ -7,11 +7,14 @@ COUNT = 4
 
 FIELDS = {
     "image_size": [96, 128],
-    "dim": 16,
-    "head_hidden": 16,
     "first_stride": 4,
-    "bins": 300,
-    "bins_degree": 2,
+    "first_channels": 16,
+    "object_size": [16, 96],
+    "object_width": 48,
+    "channels": [8, 16, 24],
+    "blocks": [1, 1],
+    "latent": 32,
+    "directions": 50,
     "distance_m": [8.0, 22.0],
 }
 
@@ -30,7 +33,7 @@ def scenes_config(root, out, **fields):
             seed=3,
         ),
         "out": out,
-        "model": "compact",
+        "model": "polar",
         "model_fields": FIELDS,
         "backbone_weights": "none",
         "epochs": 2,

@@ -66,7 +66,7 @@ class ManyObjective(ObjectObjective):
         self.bias = nn.Parameter(torch.zeros(count, maps, 1, 1))
         self.dense["coordinates"] = nn.Identity()  # says that there are some; `_maps` makes them
 
-    def forward(self, model: PolarPose, batch: PatchBatch) -> LossTerms:  # type: ignore[override]
+    def forward(self, model: PolarPose, batch: PatchBatch) -> LossTerms:
         """Return the loss terms, each sample by the head of its spacecraft."""
         head = model.orientation
         assert isinstance(head, ManyBinsHead)

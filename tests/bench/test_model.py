@@ -100,6 +100,6 @@ def test_numbers_below_one_are_wrong_usage(option, capsys):
     assert option.strip("-") in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("network", ["compact", "polar", "ursonet"])
+@pytest.mark.parametrize("network", ["small", "polar", "ursonet"])
 def test_any_preset_has_random_weights(network, tmp_path):
     assert read_metadata(bench.weights_of(network, tmp_path)).config == PRESETS[network]

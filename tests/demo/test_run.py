@@ -19,7 +19,7 @@ from ffpose.demo.run import run
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.imaging.patches import LABELS
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import FilterformerPose
+from ffpose.models import build_network
 from ffpose.render.renderer import label
 from figures import blank_figures
 
@@ -28,14 +28,6 @@ pytestmark = pytest.mark.slow
 SIZE = (64, 48)
 FIELDS = {
     "image_size": [48, 64],  # as YAML gives it back
-    "first_stride": 4,
-    "object_backbone": "compact_resnet_narrow",
-    "bins": 100,
-    "bins_degree": 1,
-    "bins_width_deg": 30.0,
-}
-POLAR_FIELDS = {
-    "image_size": [48, 64],
     "first_stride": 4,
     "first_reduction": 4,
     "object_size": [16, 48],
@@ -51,7 +43,7 @@ TRAIN = DemoConfig(
     validation=2,
     calibration=4,
     epochs=2,
-    model_fields=tuple(POLAR_FIELDS.items()),
+    model_fields=tuple(FIELDS.items()),
 )
 
 
@@ -62,7 +54,7 @@ def shelf(tmp_path_factory):
     camera = URSO_CAMERA.resized(*SIZE)
     fields = {**FIELDS, "camera": (camera.fx, camera.fy, camera.cx, camera.cy)}
     torch.manual_seed(0)
-    model = FilterformerPose.from_config("compact", backbone_weights="none", **fields)
+    model = build_network("polar", backbone_weights="none", **fields)
     preprocessing = Preprocessing((48, 64), mean=(0.0, 0.0, 0.0), std=(0.25, 0.25, 0.25))
     model.save_pretrained(folder / "soyuz.safetensors", preprocessing=preprocessing)
     with pytest.MonkeyPatch.context() as patch:

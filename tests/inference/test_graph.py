@@ -52,21 +52,7 @@ NARROW = {"backbone": "compact_resnet_narrow", "translation_reduction": 16}
 
 NETWORKS = {
     "tokens": ("tiny", {**SMALL, **NARROW, "filter": "tokens", "orientation_head": "quaternion"}),
-    "twice": (
-        "compact",
-        {
-            **SMALL,
-            "pooling": "token",
-            "filter": "grid",
-            "bins": 300,
-            "bins_degree": 3,
-            "first_stride": 2,
-            "object_backbone": "compact_resnet_narrow",
-            "object_size": (32, 32),
-            "looks": 2,
-            "degrees_of_freedom": (5.0, 3.5),
-        },
-    ),
+    "grid": ("tiny", {**SMALL, **NARROW, "filter": "grid", "pooling": "mean"}),
     "polar": (
         "polar",
         {
@@ -93,7 +79,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("graphs")
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("twice", "polar")]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("grid", "polar")]
 
 
 @pytest.fixture(scope="module", params=["tokens", *SLOW])

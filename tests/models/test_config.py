@@ -41,6 +41,7 @@ def test_a_grid_covers_the_image():
         ("filter", "fourier", r"filter: expected one of tokens, grid, none"),
         ("norm", "both", "norm: expected one of"),
         ("position", None, "position: expected one of"),
+        ("orientation_head", "euler", "orientation_head: expected one of .*, got 'euler'"),
         ("pooling", "max", "pooling: expected one of"),
         ("depth", 0, "depth: expected a whole number, at least 1, got 0"),
         ("dim", 2.5, "dim: expected a whole number, at least 1, got 2.5"),

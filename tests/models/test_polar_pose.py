@@ -12,7 +12,10 @@ from ffpose.models import PolarPose, build_network, load_network, polar_pose
 from ffpose.models.base import UncertainPose
 from ffpose.models.heat_map import Candidates
 from ffpose.models.second_look import (
+    LOG_SIGMA_LIMITS,
+    OFFSET_LIMIT,
     OFFSET_SCALE,
+    SecondLookOutput,
     covariances,
     offset_of,
     placed,
@@ -274,6 +277,89 @@ def test_weights_there_and_back(model, tmp_path):
     assert not [name for name in model.state_dict() if name.endswith(("bins", "turns", "around"))]
 
 
+def test_what_weights_depend_on_is_not_changed_as_they_are_loaded(model, tmp_path):
+    path = tmp_path / "look.safetensors"
+    model.save_pretrained(path)
+    message = r"that may change after training \(looks, candidates\), got look \(did"
+    with pytest.raises(ValueError, match=message):
+        load_network(path, look=1)
+    with pytest.raises(ValueError, match="looks: expected a whole number, at least 1, got 0"):
+        load_network(path, looks=0)
+    once = build_network("tiny", backbone_weights="none", image_size=(64, 64))
+    once.save_pretrained(path)
+    with pytest.raises(ValueError, match=r"\(this network has none\), got looks"):
+        load_network(path, looks=1)
+
+
+def least_rotations(rays):
+    """SciPy's least rotations from the z axis to rays ``(N, 3)``."""
+    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    axis = np.cross([0, 0, 1], rays)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, rays[:, 2:]))
+
+
+def told(model, offset, log_sigma=(0.0,) * 6):
+    """Equal outputs of the second look for each of `POINTS`."""
+    return SecondLookOutput(
+        torch.randn(1, model.orientation_branch.mix.out_features * 12).expand(3, -1),
+        torch.tensor(offset).expand(3, 3),
+        torch.tensor(log_sigma).expand(3, 6),
+        torch.zeros(3),
+        torch.zeros(3, 4),
+    )
+
+
+def test_one_view_of_the_object_is_turned_with_the_camera(model):
+    """Equal outputs in three directions: position, attitude, covariances turn with the ray."""
+    output = told(model, (1.0, -0.5, 0.4), (-3.0, -3.0, -1.0, -3.0, -3.0, -1.0))
+    pose = model._pose(placed(output, model.view_at(POINTS)))
+    turn = least_rotations(POINTS.numpy().astype(np.float64))
+    # A quarter of the image's width is half its radius of 6.6 meters, at the distance.
+    distance = POINTS.norm(dim=1).double().numpy()
+    x, y = (part / 2 * model.config.object_radius_m / distance for part in (1.0, -0.5))
+    ray = np.stack([x, y, np.ones(3)], axis=-1)
+    ray *= (distance * np.exp(0.1) / np.linalg.norm(ray, axis=-1))[:, None]
+    np.testing.assert_allclose(pose.translation.detach(), turn.apply(ray), rtol=1e-5)
+    seen, found = (
+        Rotation.from_quat(q.detach().double().numpy(), scalar_first=True)
+        for q in (model.orientation.decode(output.orientation), pose.orientation)
+    )
+    assert ((turn * seen).inv() * found).magnitude().max() < 1e-4
+    alike = turn.inv().as_matrix() @ pose.rotation_covariance.detach().numpy() @ turn.as_matrix()
+    expected = np.broadcast_to(np.diag(np.exp([-6, -6, -2])), (3, 3, 3))
+    np.testing.assert_allclose(alike, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [0.0, 1e30, -1e30, OFFSET_LIMIT])
+def test_wild_looks_give_a_pose_in_front(model, monkeypatch, number):
+    wild = told(model, (number, -number, number), (2.0,) * 6)
+    monkeypatch.setattr(model, "decode", lambda feature_map: wild)
+    pose = model(images())
+    assert all(each.isfinite().all() for each in pose)
+    assert (pose.translation[:, 2] > 0).all()
+    for covariance in (pose.translation_covariance, pose.rotation_covariance):
+        assert (torch.linalg.eigvalsh(covariance.double()) > 0).all()
+
+
+def test_pictures_of_nothing(model):
+    black = torch.full((2, 3, 96, 128), -2.0)
+    for pictures in (black, -black, 100 * torch.randn(3, 3, 96, 128), torch.zeros(0, 3, 96, 128)):
+        pose = model(pictures)
+        assert len(pose.in_view) == len(pictures)
+        assert all(each.isfinite().all() for each in pose)
+
+
+def test_log_deviations_stay_within_their_limits(model):
+    head = model.orientation_branch
+    feature_map = torch.randn(2, 12, *model.config.object_grid)
+    for bias, limit in zip((-1e9, 1e9), LOG_SIGMA_LIMITS, strict=True):
+        with torch.no_grad():
+            head.scalars[-1].bias.fill_(bias)
+            log_sigma = head(feature_map).log_sigma
+        assert torch.equal(log_sigma, torch.full((2, 6), limit))
+
+
 @pytest.mark.slow
 def test_autocast_leaves_the_geometry_in_float32(model, monkeypatch):
     """With the same outputs of the learned parts the poses are the same bit for bit."""
@@ -367,6 +453,18 @@ def test_turned_attitudes_are_scipys(model):
     ("fields", "text"),
     [
         ({"camera": None}, "camera: the second look needs it, got None"),
+        ({"camera": (1.0, 2.0)}, r"camera: expected 4 numbers, got \(1.0, 2.0\)"),
+        ({"camera": (1.0, math.nan, 0.0, 0.0)}, "camera: expected finite numbers, got"),
+        ({"camera": (0.0, 60.0, 32.0, 24.0)}, "camera: expected fx > 0 and fy > 0, got"),
+        ({"first_stride": 5}, r"first_stride: .* divisor of image_size \(96, 128\), got 5"),
+        ({"distance_m": (20.0, 10.0)}, r"distance_m: expected 0 < near < far, got \(20.0, 10.0\)"),
+        ({"distance_m": (1.0, math.inf)}, "distance_m: expected 0 < near"),
+        ({"doubt_sigma": (0.0, -1.0)}, "doubt_sigma: expected 0 or more each"),
+        ({"degrees_of_freedom": (4.0, 2.0)}, "degrees_of_freedom: expected above 2 and up to 1000"),
+        ({"degrees_of_freedom": (4.0,)}, "degrees_of_freedom: expected 2 numbers"),
+        ({"object_radius_m": 0.0}, "object_radius_m: expected above 0, got 0"),
+        ({"object_size": (0, 96)}, r"object_size: expected whole numbers.* got \(0, 96\)"),
+        ({"object_size": (16.5, 96)}, r"object_size: expected whole numbers.* got \(16.5, 96\)"),
         ({"object_size": (20, 96)}, "object_size: expected radii and angles that are multiples of"),
         ({"object_size": (16, 88)}, "multiples of 8 and 16, got"),
         ({"channels": (4, 8)}, "channels: expected 3 numbers"),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffpose.config import CONFIGS
+from ffpose.config import PRESETS
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA
 from ffpose.imaging.preprocessing import Preprocessing
@@ -16,7 +16,7 @@ from ffpose.onnx.records import read_entries
 onnx = pytest.importorskip("onnx")
 
 METADATA = ModelMetadata(
-    CONFIGS["compact"],
+    PRESETS["polar"],
     Preprocessing((384, 512), interpolation="bicubic"),
     "matmul",
     URSO_CAMERA,

@@ -177,30 +177,29 @@ SMALL = {
     "model_fields": {
         "image_size": [96, 128],
         "first_stride": 4,
-        "object_size": [16, 16],
-        "object_backbone": "compact_resnet_narrow",
-        "dim": 16,
-        "head_hidden": 16,
-        "bins": 300,
-        "bins_degree": 2,
+        "object_size": [16, 96],
+        "channels": [8, 16, 24],
+        "blocks": [1, 1],
+        "latent": 32,
+        "directions": 50,
     },
 }
 
 
 @pytest.mark.slow
-def test_both_views_train_and_are_tested_on_the_same_scenes(tmp_path):
+def test_mixers_train_and_are_tested_on_the_same_scenes(tmp_path):
     run.ablate(
-        get_study("attitude"),
+        get_study("mixers"),
         tmp_path,
         seeds=1,
-        variants=["base", "view-frame"],
+        variants=["filter", "depthwise3"],
         changes=SMALL,
         test_images=5,
         quiet=True,
     )
     first, second = (
         json.loads((tmp_path / f"{name}-seed0/results.json").read_text())["test"]
-        for name in ("base", "view-frame")
+        for name in ("filter", "depthwise3")
     )
     assert first["images"] == second["images"] == 5
     poses = [each["mean_pose_baseline"]["pose"] for each in (first, second)]
@@ -225,9 +224,7 @@ def test_the_command_lists_the_studies(tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
         main(["attitudes", "--out", str(tmp_path)])
     assert leaving.value.code == 2
-    assert (
-        "'attitude', 'filters', 'mixers', 'networks', 'table1', 'table2'" in capsys.readouterr().err
-    )
+    assert "'mixers', 'networks', 'table1', 'table2'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -242,7 +239,7 @@ def test_the_command_lists_the_studies(tmp_path, capsys):
 )
 def test_changes_in_another_style_are_refused(changes, expected, tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
-        main(["filters", "--out", str(tmp_path / "a"), "--changes", *changes])
+        main(["mixers", "--out", str(tmp_path / "a"), "--changes", *changes])
     assert leaving.value.code == 2
     assert expected in capsys.readouterr().err
 
@@ -253,11 +250,12 @@ def test_a_value_that_cannot_be_is_one_line(tmp_path, capsys):
         (["--seeds", "0"], "seeds: expected at least 1, got 0\n"),
         (
             ["--variants", "nothing"],
-            "variants: expected one of tokens, grid, none, got 'nothing'\n",
+            "variants: expected one of filter, depthwise3, depthwise7, attention, filterformer,"
+            " got 'nothing'\n",
         ),
     ):
         with pytest.raises(SystemExit) as leaving:
-            main(["filters", "--out", str(tmp_path / "a"), *words])
+            main(["mixers", "--out", str(tmp_path / "a"), *words])
         assert leaving.value.code == 2
         assert capsys.readouterr().err.endswith(f"error: {expected}")
 

@@ -10,7 +10,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, multivariate_t
 
-from ffpose.config import PRESETS, FilterformerPoseConfig
+from ffpose.config import PRESETS, PolarPoseConfig
 from ffpose.datasets import Sample
 from ffpose.evaluation.calibration import CURVE, coverage, region_probability
 from ffpose.models import PolarPose
@@ -50,7 +50,6 @@ class Drawn(torch.nn.Module):
 
     def __init__(
         self,
-        view="object",
         distance_scale=1.0,
         doubt_sigma=(0.0, 0.0),
         truncation_sigma=(0.0, 0.0),
@@ -59,10 +58,8 @@ class Drawn(torch.nn.Module):
     ):
         super().__init__()
         self.doubt = doubt
-        self.config = FilterformerPoseConfig(
-            image_size=(384, 512),
+        self.config = PolarPoseConfig(
             camera=camera,
-            orientation_view=view,
             distance_scale=distance_scale,
             doubt_sigma=doubt_sigma,
             truncation_sigma=truncation_sigma,
@@ -87,6 +84,10 @@ class Drawn(torch.nn.Module):
             torch.stack([1 - doubt, 0 * doubt], dim=1),
         )
         return calibrated(pose, self.config)
+
+    def predict_near(self, images, points):
+        """Find the same wherever the look is pointed."""
+        return self(images)
 
 
 def errors(seed, count=COUNT):
@@ -392,15 +393,6 @@ def test_looks_that_do_not_follow_are_not_mended():
     model = Leaning.build(PRESETS["polar"].with_fields({"camera": FAR_WITHIN}), "none")
     model.measured = (0.01, -0.3)
     assert calibrate(model, split(0), absent()).look_slope == (LEAST_SLOPE, LEAST_SLOPE)
-
-
-def test_other_networks_have_no_looks_at_points():
-    assert calibrate(Drawn(), split(0), absent()).look_slope is None
-
-
-def test_a_network_that_gives_no_uncertainty_is_refused():
-    with pytest.raises(ValueError, match="expected one with a second look"):
-        calibrate(Drawn("frame"), split(0), absent())
 
 
 def test_images_with_the_object_are_needed():

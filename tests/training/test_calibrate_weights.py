@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 
 from ffpose._internal.seeds import CALIBRATION
 from ffpose.cli import build_parser, main, words_of
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, load_network, read_metadata
 from ffpose.training.calibrate_weights import _as_trained, calibrate_weights
 from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
@@ -45,7 +45,7 @@ def test_the_header_names_images_that_neither_train_nor_validate(trained):
 def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_path, monkeypatch):
     """On weights whose calibration was spoiled, and no other tensor changes."""
     spoiled = tmp_path / trained.name
-    model = FilterformerPose.from_pretrained(trained)
+    model = load_network(trained)
     model.variance_scales.fill_(7)
     header = read_metadata(trained)
     model.save_pretrained(spoiled, preprocessing=header.preprocessing, recipe=header.recipe)
@@ -88,7 +88,7 @@ def test_the_set_is_the_first_that_the_weights_were_trained_on(trained, tmp_path
     assert read_metadata(out).calibration["images"] == read_metadata(trained).calibration["images"]
     assert "--data.scene soyuz_easy" in read_metadata(out).calibration["command"]
     unknown = tmp_path / "unknown.safetensors"
-    FilterformerPose.from_pretrained(trained).save_pretrained(unknown)
+    load_network(trained).save_pretrained(unknown)
     with pytest.raises(ValueError, match=r"data\.scene: expected the name of a rendered set, got"):
         calibrate_weights(unknown, images)
 
@@ -97,7 +97,7 @@ def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
     """Cut objects, randomized scenes and a low sun, at distances beyond the set's."""
     header, weights = read_metadata(trained), tmp_path / "cut.safetensors"
     seen = header.recipe["data"] | {"cut": 1, "randomized": 2, "dusk": 3, "distance": [0.75, 1.5]}
-    FilterformerPose.from_pretrained(trained).save_pretrained(
+    load_network(trained).save_pretrained(
         weights, recipe=header.recipe | {"data": seen}, data=header.data
     )
     images = CalibrationImages(root=tmp_path / "images", seed=CALIBRATION.start + 3, count=COUNT)

@@ -13,7 +13,7 @@ from ffpose import DataError
 from ffpose.datasets import patches
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import CONFIGS, read_metadata
+from ffpose.models import PRESETS, read_metadata
 from ffpose.training.calibration_images import open_calibration
 from ffpose.training.config import (
     CalibrationImages,
@@ -65,7 +65,7 @@ def own(tmp_path):
 
 
 def opened(config, model="tiny"):
-    return open_training_data(config, CONFIGS[model], Preprocessing((32, 32)), coordinates=False)
+    return open_training_data(config, PRESETS[model], Preprocessing((32, 32)), coordinates=False)
 
 
 def test_held_out_images_validate_and_do_not_train(own):
@@ -147,13 +147,11 @@ def test_images_that_validate_are_of_the_training_images_camera(own):
 
 
 def second_look(config):
-    return open_training_data(
-        config, CONFIGS["compact"], Preprocessing((64, 64)), coordinates=False
-    )
+    return open_training_data(config, PRESETS["polar"], Preprocessing((64, 64)), coordinates=False)
 
 
 def test_no_image_of_a_set_trains_selects_and_calibrates(own):
-    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    small = replace(PRESETS["polar"], image_size=(64, 64))
     config = DataConfig("csv", own, holdout=2)
     data = open_training_data(config, small, Preprocessing((64, 64)), coordinates=False)
     assert data.train_set.names == ["1.png", "3.png", "5.png"]
@@ -173,7 +171,7 @@ def test_no_image_of_a_set_trains_selects_and_calibrates(own):
 
 
 def test_a_set_without_an_image_that_could_calibrate_is_refused(own):
-    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    small = replace(PRESETS["polar"], image_size=(64, 64))
     config = DataConfig("csv", own, holdout=IMAGES)
     message = "calibration: expected more than 6 images in train, every 12th .* got 6"
     with pytest.raises(ValueError, match=message):
@@ -190,7 +188,7 @@ def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
         second_look(config)
     with pytest.raises(ValueError, match=r"data\.mode: expected resize, .* got 'center_crop'"):
         second_look(replace(config, mode="center_crop"))
-    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    small = replace(PRESETS["polar"], image_size=(64, 64))
     undistorted = replace(config, undistort=True)
     data = open_training_data(undistorted, small, Preprocessing((64, 64)), coordinates=False)
     assert len(data.patches) == 1
@@ -231,28 +229,40 @@ def test_images_of_several_cameras_train(own, tmp_path):
 
 def second_look_config(root, out, **fields):
     """One epoch of a small network with a second look on a user's own images."""
-    small = {"image_size": [48, 64], "first_stride": 4, "bins": 100, "bins_degree": 1, "dim": 16}
+    small = {
+        "image_size": [64, 64],
+        "first_stride": 4,
+        "object_size": [16, 96],
+        "directions": 50,
+        "channels": [8, 16, 24],
+        "blocks": [1, 1],
+        "latent": 32,
+    }
     points = out.with_name("points.csv")
     points.write_text("name,x,y,z\ntip,1,0,0\nfoot,0,-1,0.5\n")
     data = DataConfig("csv", root, holdout=3, keypoints=str(points))
     loss = ObjectLossConfig(coordinates=0, mask=0, keypoints=1)
-    values = {"model": "compact", "model_fields": small, "data": data, "object_loss": loss}
+    values = {"model": "polar", "model_fields": small, "data": data, "object_loss": loss}
     return TrainConfig(out=out, epochs=1, batch_size=2, device="cpu", **(values | fields))
 
 
 def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):
-    """Objects straight ahead, unturned, in a view 6.6 m wide to each side and not displaced."""
+    """Objects straight ahead, unturned, in a view 6.6 m wide to each side and not displaced.
+
+    The tip is to the right, at the angle zero, the foot above, at three quarters of a turn.
+    """
     config = second_look_config(own, tmp_path / "run")
     still = PatchAugmentation(twist_deg=0, look_lateral=0, look_distance=0, empty=0)
     run = build_run(replace(config, views=still))
     (batch,) = [b for b in run.task.batches(0) if 0 in b.index]
     row = batch.index.tolist().index(0)
-    scale = 6 / 6.6 / 2  # the second of the images, 6 m away
-    expected = [[0.5 + scale / 6, 0.5], [0.5, 0.5 - scale / 6.5]]
-    np.testing.assert_allclose(batch.keypoints[row], expected, rtol=1e-5)
+    scale = 6 / 6.6  # the second of the images, 6 m away
+    turns, radii = batch.keypoints[row].unbind(1)
+    np.testing.assert_allclose(radii, [scale / 6, scale / 6.5], rtol=1e-5)
+    np.testing.assert_allclose((turns + 0.5) % 1, [0.5, 0.25], atol=1e-5)
     before = [value.clone() for value in run.task.loss.parameters()]
     folder = train(config, quiet=True).folder
-    assert [tuple(value.shape) for value in before] == [(8, 96, 1, 1), (8,)]
+    assert [tuple(value.shape) for value in before] == [(8, 24, 1, 1), (8,)]
     assert not any("heatmaps" in name for name in load_file(folder.best))
 
 

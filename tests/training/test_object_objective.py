@@ -9,7 +9,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ffpose.config import FilterformerPoseConfig
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.models.second_look import SecondLookOutput
 from ffpose.nn.orientation import QuaternionHead
@@ -50,12 +49,7 @@ class Answers:
 
     def __init__(self, batch):
         self.object_backbone = SimpleNamespace(channels=(CHANNELS,))
-        self.config = FilterformerPoseConfig(
-            orientation_view="object",
-            camera=(1.0, 1.0, 0.0, 0.0),
-            object_size=GRID,
-            orientation_reduction=1,
-        )
+        self.config = SimpleNamespace(object_grid=GRID)
         self.orientation = QuaternionHead()
         self.first = torch.zeros(())
         self.feature_map = torch.randn(COUNT, CHANNELS, *GRID)
@@ -64,6 +58,7 @@ class Answers:
             offset=batch.offset.clone().requires_grad_(),
             log_sigma=torch.zeros(COUNT, 6).requires_grad_(),
             in_view=torch.zeros(COUNT).requires_grad_(),
+            shear=torch.zeros(COUNT, 4),
         )
 
     def first_loss(self, frames, translation):
@@ -209,7 +204,10 @@ def test_heatmaps_that_know_nothing_cost_the_logarithm_of_their_cells(batch):
 
 
 def test_heatmaps_are_numpys_cross_entropy_of_what_the_view_shows():
-    """The label is what interpolation linear along both sides gives each cell's center."""
+    """The label is what interpolation linear along both sides gives each cell's center.
+
+    The last column is beside the first.
+    """
     generator = np.random.default_rng(0)
     rows, columns = 4, 6
     logits = generator.normal(size=(COUNT, KEYPOINTS, rows, columns))
@@ -218,8 +216,10 @@ def test_heatmaps_are_numpys_cross_entropy_of_what_the_view_shows():
     assert 0 < shown.sum() < shown.size
     expected = []
     for image, point in zip(*np.nonzero(shown), strict=True):
-        u, v = np.clip(places[image, point] * (columns, rows), 0.5, (columns - 0.5, rows - 0.5))
-        across = np.clip(1 - np.abs(np.arange(columns) + 0.5 - u), 0, None)
+        u, v = places[image, point] * (columns, rows)
+        v = np.clip(v, 0.5, rows - 0.5)
+        away = (np.arange(columns) + 0.5 - u + columns / 2) % columns - columns / 2
+        across = np.clip(1 - np.abs(away), 0, None)
         down = np.clip(1 - np.abs(np.arange(rows) + 0.5 - v), 0, None)
         label = down[:, None] * across
         assert label.sum() == pytest.approx(1)
@@ -234,7 +234,7 @@ def test_a_keypoint_on_the_seam_of_a_polar_view_is_shared_by_both_sides():
     logits = torch.randn(1, 1, 4, 6, dtype=torch.float64)
     log_p = logits.flatten().log_softmax(0).unflatten(0, (4, 6))
     for place, first in ((1e-12, 0.5), (0.25 / 6, 0.75), (1 - 0.25 / 6, 0.25)):
-        got = heatmap_loss(logits, torch.tensor([[[place, 0.375]]]).double(), cyclic=True)
+        got = heatmap_loss(logits, torch.tensor([[[place, 0.375]]]).double())
         expected = -(first * log_p[1, 0] + (1 - first) * log_p[1, 5])
         torch.testing.assert_close(got, expected)
 
@@ -269,7 +269,7 @@ def test_without_dense_weights_there_is_no_convolution(batch):
 
 def test_half_precision_is_the_networks_alone(batch):
     answers = Answers(batch)
-    answers.numbers = SecondLookOutput(*map(torch.randn_like, answers.numbers[:-1]))
+    answers.numbers = SecondLookOutput(*map(torch.randn_like, answers.numbers))
     objective = ObjectObjective(answers, ObjectLossConfig(keypoints=1.0), KEYPOINTS)
     answers.feature_map = answers.feature_map.bfloat16()
     answers.numbers = SecondLookOutput(*(number.bfloat16() for number in answers.numbers[:-1]))

@@ -12,8 +12,8 @@ from safetensors.torch import load_file
 from ffpose._internal.seeds import CALIBRATION, CHOICES, TRAINING, VALIDATION
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import (
-    CONFIGS,
-    FilterformerPose,
+    PRESETS,
+    load_network,
     read_metadata,
 )
 from ffpose.render import find_scene, label, patches
@@ -22,7 +22,7 @@ from ffpose.render.renderer import situation
 from ffpose.training import DataConfig, data, tasks
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
-from scene_runs import COUNT, FIELDS, scenes_config
+from scene_runs import COUNT, scenes_config
 
 
 @pytest.fixture(autouse=True)
@@ -122,6 +122,8 @@ def test_autocast_computes_nearly_the_same_loss_and_trains_as_much(root, tmp_pat
         losses.append(loss.item())
         gradients = ((name, weight.grad) for name, weight in run.model.named_parameters())
         trained.append({name for name, grad in gradients if grad is not None and grad.any()})
+        # A constant two-vector of each angle, rotated by it, has no mean: a gradient of rounding.
+        trained[-1].discard("orientation_branch.vectors.bias")
     assert losses[0] != losses[1] == pytest.approx(losses[0], rel=0.01)
     assert trained[0] == trained[1]
 
@@ -140,13 +142,15 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path, capsys):
     assert metadata.data["sets"] == [{"scene": "soyuz_easy", "seed": 3, "count": 12}]
     assert metadata.recipe["data"]["scene"] == "soyuz_easy"
     assert not any("dense" in name for name in load_file(folder.last))
-    pose = FilterformerPose.from_pretrained(folder.last)(torch.zeros(2, 3, 96, 128))
+    pose = load_network(folder.last)(torch.zeros(2, 3, 96, 128))
     assert all(bool(part.isfinite().all()) for part in pose)
 
 
 def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(tmp_path, rendered):
-    root, fields = tmp_path / "images", {**FIELDS, "orientation_view": "frame"}
-    config = scenes_config(root, tmp_path / "run", model_fields=fields, epochs=1)
+    fields = {"image_size": [96, 128], "dim": 16, "head_hidden": 16, "backbone": "compact_resnet"}
+    config = scenes_config(
+        tmp_path / "images", tmp_path / "run", model="tiny", model_fields=fields, epochs=1
+    )
     seen = build_run(config).task.train_set
     scene = find_scene("soyuz_easy", (180.0, 90.0, 180.0))
     indices = [int(name.removesuffix("_rgb.png")) for name in seen.names]
@@ -179,7 +183,7 @@ def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
     for name in ("open_frames", "open_calibration"):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", seed=seed)
-    model = CONFIGS["compact"]
+    model = PRESETS["polar"]
     data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
     assert [content for _, content in asked] == ["object", "object", "empty", "decoy"]
     assert all(given in TRAINING for given, _ in asked)
@@ -207,7 +211,7 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
         dusk=1,
         seed=101,
     )
-    model = CONFIGS["compact"]
+    model = PRESETS["polar"]
     data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
     shown = [part for part in asked if part[3] == "object"]
     assert [(scene.name, seed, count) for scene, seed, count, _ in shown[:3]] == [

@@ -4,28 +4,19 @@ from __future__ import annotations
 
 from typing import TypeGuard
 
-from ffpose.config.filterformer_pose import (
-    CONFIGS,
-    FLAT_CHANNELS,
-    FLAT_LATENT,
-    FilterformerPoseConfig,
-)
+from ffpose.config.filterformer_pose import CONFIGS, FilterformerPoseConfig
 from ffpose.config.network import FrameConfig, NetworkConfig
 from ffpose.config.polar_pose import PolarPoseConfig
 from ffpose.config.rivals import PoseNetConfig, UrsoNetConfig
-from ffpose.config.second_look import SecondLookConfig
 
 __all__ = [
     "CONFIGS",
-    "FLAT_CHANNELS",
-    "FLAT_LATENT",
     "PRESETS",
     "FilterformerPoseConfig",
     "FrameConfig",
     "NetworkConfig",
     "PolarPoseConfig",
     "PoseNetConfig",
-    "SecondLookConfig",
     "UrsoNetConfig",
     "config_type",
     "degrees_of_freedom",
@@ -58,14 +49,14 @@ def config_type(architecture: str) -> type[NetworkConfig]:
     return _CONFIG_TYPES[architecture]
 
 
-def looks_twice(config: NetworkConfig) -> TypeGuard[SecondLookConfig]:
+def looks_twice(config: NetworkConfig) -> TypeGuard[PolarPoseConfig]:
     """Return whether the network takes a second look, through a virtual camera."""
-    return isinstance(config, SecondLookConfig) and config.looks_twice
+    return isinstance(config, PolarPoseConfig)
 
 
 def degrees_of_freedom(config: NetworkConfig) -> tuple[float, float] | None:
     """Return those of the errors' t distributions; None for Gaussian errors and for no covariances.
 
-    They are of translation and rotation (`SecondLookConfig.degrees_of_freedom`).
+    They are of translation and rotation (`PolarPoseConfig.degrees_of_freedom`).
     """
     return config.degrees_of_freedom if looks_twice(config) else None

@@ -11,7 +11,7 @@ import torch
 from ffpose._internal.machine import cores
 from ffpose.inference.in_torch import torch_threads
 from ffpose.learn.plan import Speed
-from ffpose.models import SecondLookNetwork, build_network
+from ffpose.models import PolarPose, build_network
 from ffpose.models.base import find_device
 from ffpose.render import Scene
 from ffpose.render.patches import render_all_patches
@@ -46,7 +46,7 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     torch.manual_seed(config.seed)
     device = find_device(config.device)
     model = build_network(config.model, backbone_weights="none", **fields).to(device)
-    assert isinstance(model, SecondLookNetwork)
+    assert isinstance(model, PolarPose)
     spec = patch_spec(model.config, camera)
     count = VIEWS * renderers
     arrays = spec.empty(count)
@@ -83,7 +83,7 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
 
 def _rate(
     config: TrainConfig,
-    model: SecondLookNetwork,
+    model: PolarPose,
     loss: ObjectObjective,
     batches: PatchBatches,
     device: torch.device,

@@ -15,7 +15,6 @@ from ffpose.models.filterformer_pose import FilterformerPose
 from ffpose.models.polar_pose import PolarPose
 from ffpose.models.posenet import PoseNet
 from ffpose.models.registry import (
-    SecondLookNetwork,
     build_network,
     find_config,
     load_network,
@@ -38,7 +37,6 @@ __all__ = [
     "PoseNet",
     "PoseNetConfig",
     "PosePrediction",
-    "SecondLookNetwork",
     "UrsoNet",
     "UrsoNetConfig",
     "WeightsMetadata",

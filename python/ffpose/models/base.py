@@ -135,7 +135,7 @@ class BaseNetwork(nn.Module, ABC):
 
         Args:
             config: Preset of this network (of FilterformerPose: ``"base"``, ``"small"``,
-                ``"tiny"``, ``"compact"``) or a config.
+                ``"tiny"``) or a config.
             backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
                 otherwise a safetensors or PyTorch file.
             **fields: Fields of the config to change.

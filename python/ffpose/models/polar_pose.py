@@ -197,7 +197,7 @@ class PolarPose(BaseNetwork):
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
         c = self.config
-        return turn_to(points, c.object_radius_m, c.object_size, twist, polar_width=c.object_width)
+        return turn_to(points, c.object_radius_m, c.object_size, c.object_width, twist)
 
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Compute heat map and distances, as `HeatMap.forward`, of downsampled frames."""

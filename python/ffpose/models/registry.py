@@ -19,9 +19,6 @@ NETWORKS: dict[str, type[BaseNetwork]] = {
 }
 """Networks by the name of their class, which files of weights and graphs record."""
 
-SecondLookNetwork = FilterformerPose | PolarPose
-"""A network that may look at the object through a virtual camera (`ffpose.config.looks_twice`)."""
-
 
 def find_config(model: str) -> NetworkConfig:
     """Return the configuration of a preset of any network.

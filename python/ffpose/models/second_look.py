@@ -4,12 +4,12 @@ Ye et al. decouple translation and orientation by two branches that read the sam
 views are decoupled as well. The orientation branch reads the view of a virtual camera pointed at
 the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame,
 
-* the orientation, by one of the heads of `ffpose.nn.orientation`;
+* the orientation (`ffpose.nn.polar_bins`);
 * the offset of the object from the point that the camera was pointed at: ``(x / z, y / z)`` in
   quarters of the image's width, and the log of the ratio of the distances, times four;
 * the log standard deviations of the offset and of the rotation vector (Kendall and Gal, "What
-  Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017), and for
-  views in polar coordinates how they differ by direction across the viewing ray;
+  Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017), and how
+  they differ by direction across the viewing ray;
 * the logit of the object being in view.
 """
 
@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.torch_internals import constant
-from ffpose.config import SecondLookConfig
+from ffpose.config import PolarPoseConfig
 from ffpose.models.base import UncertainPose
 from ffpose.models.virtual_camera import VirtualCamera, chosen
 
@@ -36,10 +36,6 @@ LOG_SIGMA_LIMITS = (-6.0, 1.5)
 """Bounds on the log standard deviations, beyond which float32 covariances lose precision."""
 
 Predict = TypeVar("Predict", bound=Callable[..., UncertainPose])
-
-SMALL_OUTPUTS = 3 + 6 + 1
-"""Number of outputs besides the orientation's: offset, log standard deviations, logit."""
-
 
 TAIL = 4.0
 """Degrees of freedom of the errors' t distribution in training."""
@@ -54,14 +50,14 @@ class SecondLookOutput(NamedTuple):
         log_sigma: ``(B, 6)``, log standard deviations of offset and rotation vector (radians).
         in_view: ``(B,)``, logits of the object being in view.
         shear: ``(B, 4)``, of offset and rotation vector the logs ``(a, b)`` by which deviations
-            across the ray differ by direction (`covariance_of`); None where they do not.
+            across the ray differ by direction (`covariance_of`).
     """
 
     orientation: Tensor
     offset: Tensor
     log_sigma: Tensor
     in_view: Tensor
-    shear: Tensor | None = None
+    shear: Tensor
 
     def of(self, rows: Tensor) -> SecondLookOutput:
         """Return the output of some views, ``rows`` being indices or a mask."""
@@ -76,21 +72,7 @@ class SecondLookOutput(NamedTuple):
         return self._each(Tensor.float)
 
     def _each(self, change: Callable[..., Tensor], *others: SecondLookOutput) -> SecondLookOutput:
-        parts = zip(self, *others, strict=True)
-        changed: list[Any] = [None if part[0] is None else change(*part) for part in parts]
-        return SecondLookOutput(*changed)
-
-
-class SecondLookHead(nn.Module):
-    """Head that computes the outputs of the second look from a latent vector, by two modules."""
-
-    def __init__(self, orientation: nn.Module, small: nn.Module) -> None:
-        super().__init__()
-        self.orientation, self.small = orientation, small
-
-    def forward(self, z: Tensor) -> Tensor:
-        """Return ``(B, SMALL_OUTPUTS + features)`` for a latent vector ``z``."""
-        return torch.cat((self.small(z), self.orientation(z)), dim=1)
+        return SecondLookOutput(*map(change, self, *others))
 
 
 def half_in_learned_parts(predict: Predict) -> Predict:
@@ -121,16 +103,6 @@ def _in_float(part: Callable[..., Any]) -> Callable[..., Any]:
         return tuple(each.float() for each in found) if is_pair else found.float()
 
     return called
-
-
-def split_output(output: Tensor) -> SecondLookOutput:
-    """Split the output ``(B, SMALL_OUTPUTS + features)`` of `SecondLookHead` into named parts."""
-    return SecondLookOutput(
-        orientation=output[:, SMALL_OUTPUTS:],
-        offset=output[:, :3],
-        log_sigma=output[:, 3:9].clamp(*LOG_SIGMA_LIMITS),
-        in_view=output[:, 9],
-    )
 
 
 def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
@@ -180,24 +152,22 @@ def covariances(look: SecondLook) -> tuple[Tensor, Tensor]:
     """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame."""
     output, view = look.output, look.view
     log_sigma = torch.unflatten(output.log_sigma, 1, (2, 3))
-    shear = None if output.shear is None else torch.unflatten(output.shear, 1, (2, 2))
+    shear = torch.unflatten(output.shear, 1, (2, 2))
     offset, rotation = covariance_of(log_sigma, shear).unbind(1)
     back = view.rotation.mT
     to_camera = back @ offset_jacobian(look.point, view)
     return to_camera @ offset @ to_camera.mT, back @ rotation @ view.rotation
 
 
-def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
+def covariance_of(log_sigma: Tensor, shear: Tensor) -> Tensor:
     """Return the covariances ``(..., 3, 3)`` of log standard deviations, virtual camera's frame.
 
-    With a shear ``(a, b)`` ``(..., 2)`` the block across the ray is its variances' geometric mean
-    times ``exp 2 [[a, b], [b, -a]]``, which has the determinant one; the first two deviations are
-    then to be equal. A rotation of the camera by ``w`` about the ray rotates ``(a, b)`` by ``2 w``:
-    it is a second harmonic.
+    The block across the ray is the variance of the first two deviations, which are equal, times
+    ``exp 2 [[a, b], [b, -a]]`` of a shear ``(a, b)`` ``(..., 2)``, which has the determinant one. A
+    rotation of the camera by ``w`` about the ray rotates ``(a, b)`` by ``2 w``: it is a second
+    harmonic.
     """
     variance = (2 * log_sigma).exp()
-    if shear is None:
-        return torch.diag_embed(variance)
     length = 2 * shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
     parts = (length.cosh(), 2 * shear * (length.sinh() / length), torch.ones_like(length))
     blocks = torch.cat(parts, dim=-1) @ BLOCKS.to(length, non_blocking=True)
@@ -249,7 +219,7 @@ def placed(output: SecondLookOutput, view: VirtualCamera) -> SecondLook:
     return SecondLook(output, view, point, in_front(view.points_back(point)))
 
 
-def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
+def calibrated(pose: UncertainPose, config: PolarPoseConfig) -> UncertainPose:
     """Apply what calibration found: factors on distances, and the growth of the uncertainty."""
     pose = pose._replace(translation=pose.translation * config.distance_scale)
     found = (*config.doubt_sigma, *config.truncation_sigma, config.truncation_distance)
@@ -265,7 +235,7 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
     )
 
 
-def truncation(translation: Tensor, config: SecondLookConfig) -> Tensor:
+def truncation(translation: Tensor, config: PolarPoseConfig) -> Tensor:
     """Return the shares ``(B,)`` of objects' views that the border of the frame cuts off, 0 to 1.
 
     Of the area of the square about the view, through the object's origin ``(B, 3)``, meters.
@@ -291,10 +261,9 @@ def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:
     JASA 1989).
     """
     scaled = torch.unflatten(residual * torch.exp(-output.log_sigma), 1, (2, 3))
-    if output.shear is not None:
-        # The inverse of `covariance_of` is that of the negative shear, and of variances of one.
-        halves = torch.unflatten(-output.shear / 2, 1, (2, 2))
-        root = covariance_of(torch.zeros_like(scaled), halves)
-        scaled = (root @ scaled[..., None])[..., 0]
+    # The inverse of `covariance_of` is that of the negative shear, and of variances of one.
+    halves = torch.unflatten(-output.shear / 2, 1, (2, 2))
+    root = covariance_of(torch.zeros_like(scaled), halves)
+    scaled = (root @ scaled[..., None])[..., 0]
     far = (TAIL + 3) / 2 * torch.log1p(scaled.square().sum(-1) / TAIL)
     return (far.sum(-1) + output.log_sigma.sum(-1)) / 6

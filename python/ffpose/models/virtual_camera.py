@@ -12,9 +12,9 @@ The rotation `toward` is the smallest one that takes the boresight to the viewin
 orientations in the virtual camera's frame are the allocentric ones. All functions take batches, are
 differentiable, and can be exported to ONNX.
 
-The pixels of a virtual image lie in rows and columns, or on rings about the viewing ray: radii by
-angles, as in polar coordinates. A rotation of the object about the viewing ray is then a cyclic
-shift of the image's columns (Esteves et al., "Polar Transformer Networks", ICLR 2018).
+The pixels of a virtual image lie on rings about the viewing ray: radii by angles, as in polar
+coordinates. A rotation of the object about the viewing ray is then a cyclic shift of the image's
+columns (Esteves et al., "Polar Transformer Networks", ICLR 2018).
 """
 
 from __future__ import annotations
@@ -42,12 +42,10 @@ class VirtualCamera(NamedTuple):
         quaternion: ``(B, 4)``, unit quaternions of these rotations.
         focal: ``(B,)``, focal lengths in pixels; the principal point is the image's center.
         distance: ``(B,)``, distances to the points that the cameras are pointed at, meters.
-        size: ``(height, width)`` of the virtual image; ``(radii, angles)`` of a polar one.
-        width: Number of pixels that the view is wide, in the unit of the focal length; the diameter
-            of the outermost ring of a polar image.
-        polar: Whether the image's pixels lie on rings: row i at the radius ``(i + 1/2) / radii``
-            times half the width, column j at the angle ``(j + 1/2) / angles`` of a turn, from the
-            x axis towards y.
+        size: ``(radii, angles)`` of the virtual image: row i lies at the radius ``(i + 1/2) /
+            radii`` times half the width, column j at the angle ``(j + 1/2) / angles`` of a turn,
+            from the x axis towards y.
+        width: Diameter of the outermost ring in pixels, the unit of the focal length.
     """
 
     rotation: Tensor
@@ -56,7 +54,6 @@ class VirtualCamera(NamedTuple):
     distance: Tensor
     size: tuple[int, int]
     width: int
-    polar: bool = False
 
     @property
     def tan_half_angle(self) -> Tensor:
@@ -84,23 +81,16 @@ class VirtualCamera(NamedTuple):
         )
 
     def resized(self, size: tuple[int, int]) -> VirtualCamera:
-        """Return the same views in images of another size; rows and columns of another pitch."""
-        if self.polar:
-            return self._replace(size=size)
-        scale = size[1] / self.width
-        return self._replace(focal=self.focal * scale, size=size, width=size[1])
+        """Return the same views in images of ``size``, so many radii and angles."""
+        return self._replace(size=size)
 
     def image_plane(self) -> Tensor:
         """Return the places ``(2, h, w)`` of the image's pixels, (u, v) relative to its center."""
-        height, width = self.size
+        radii, angles = self.size
         like: dict[str, Any] = {"dtype": self.focal.dtype, "device": self.focal.device}
-        row = (torch.arange(height, **like) + 0.5)[:, None]
-        column = torch.arange(width, **like) + 0.5
-        if self.polar:
-            radius, angle = row * (self.width / 2 / height), column * (2 * math.pi / width)
-            return torch.stack([radius * angle.cos(), radius * angle.sin()])
-        u, v = column - width / 2, row - height / 2
-        return torch.stack([u.expand(self.size), v.expand(self.size)])
+        radius = (torch.arange(radii, **like) + 0.5)[:, None] * (self.width / 2 / radii)
+        angle = (torch.arange(angles, **like) + 0.5) * (2 * math.pi / angles)
+        return torch.stack([radius * angle.cos(), radius * angle.sin()])
 
     def places(self, points: Tensor) -> Tensor:
         """Return where ``(B, K, 2)`` the cameras see points ``(B, K, 3)`` of the camera frame.
@@ -110,12 +100,8 @@ class VirtualCamera(NamedTuple):
         x, y, z = (points @ self.rotation.mT).unbind(-1)
         scale = self.focal[:, None] / z
         u, v = x * scale / self.width, y * scale / self.width
-        if self.polar:
-            turn = torch.atan2(v, u) / (2 * math.pi)
-            places = torch.stack([turn - turn.floor(), 2 * torch.hypot(u, v)], dim=-1)
-        else:
-            height, width = self.size
-            places = torch.stack([u + 0.5, v * (width / height) + 0.5], dim=-1)
+        turn = torch.atan2(v, u) / (2 * math.pi)
+        places = torch.stack([turn - turn.floor(), 2 * torch.hypot(u, v)], dim=-1)
         return torch.where(z[..., None] > 0, places, -1.0)
 
     def points(self, points: Tensor) -> Tensor:
@@ -172,28 +158,24 @@ def turn_to(
     points: Tensor,
     radius_m: float,
     size: tuple[int, int],
+    width: int,
     twist: Tensor | None = None,
-    *,
-    polar_width: int | None = None,
 ) -> VirtualCamera:
     """Point virtual cameras at points ``(B, 3)`` of the camera frame, meters, not behind it.
 
     Args:
         points: Points.
         radius_m: Half the width of the view at the point's distance, meters.
-        size: ``(height, width)`` of the virtual image in pixels, ``(radii, angles)`` if polar.
+        size: ``(radii, angles)`` of the virtual image.
+        width: Diameter of its outermost ring in pixels.
         twist: ``(B,)``, angles in radians by which the scene is then rotated about the viewing ray.
-        polar_width: Diameter of the outermost ring of a polar image in pixels; None for rows and
-            columns.
     """
-    width = size[1] if polar_width is None else polar_width
     distance = points.norm(dim=-1)
     quaternion = conjugate(toward(points))
     if twist is not None:
         quaternion = quaternion_product(turned_about_axis(twist), quaternion)
     rotation, focal = quaternion_to_matrix(quaternion), distance * (width / 2 / radius_m)
-    polar = polar_width is not None
-    return VirtualCamera(rotation, quaternion, focal, distance, size, width, polar)
+    return VirtualCamera(rotation, quaternion, focal, distance, size, width)
 
 
 def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:

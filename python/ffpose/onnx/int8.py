@@ -25,7 +25,7 @@ from ffpose.onnx.metadata import Filter
 OPERATORS = ("Conv", "Gemm", "MatMul")
 """Operators that are quantized where their weight is constant."""
 
-PARTS = ("backbone", "object_backbone", "projection", "attention", "feed_forward", "flatten")
+PARTS = ("backbone", "object_backbone", "projection", "attention", "feed_forward")
 """Words of a module's path within which operators are quantized."""
 
 SCOPES = "pkg.torch.onnx.name_scopes"

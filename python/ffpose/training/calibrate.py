@@ -4,7 +4,7 @@ Translations are scaled by one factor, such that the median error of the logarit
 is zero. An object that the border of the frame cuts looks farther than it is: the logarithm of its
 distance is reduced by a multiple of the squared share of its view that is cut off, the one with the
 least absolute errors. Looks at points about the object tell by how much their offset follows the
-true one, where a network has such looks. The errors of translation, and those of rotation, are
+true one. The errors of translation, and those of rotation, are
 taken for multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using
 the t Distribution", JASA 1989): most are as small as the network says, and some are much larger.
 Those of the rotation are so about either of two modes, where a network tells two with their
@@ -24,7 +24,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -32,8 +32,8 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn import functional as F
 
-from ffpose.config import SecondLookConfig, looks_twice
-from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
+from ffpose.config import PolarPoseConfig
+from ffpose.config.polar_pose import MOST_DEGREES_OF_FREEDOM
 from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import (
@@ -43,10 +43,8 @@ from ffpose.evaluation.calibration import (
 )
 from ffpose.geometry import FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
-from ffpose.models import PolarPose, SecondLookNetwork
+from ffpose.models import PolarPose
 from ffpose.models.second_look import truncation
-
-Config = TypeVar("Config", bound=SecondLookConfig)
 
 LEAST_DEGREES_OF_FREEDOM = 3.0
 """Below, a covariance, which exists above two, is mostly that of errors that were never seen."""
@@ -81,9 +79,9 @@ DISPLACED = 1.5
 class Calibration(NamedTuple):
     """Calibration parameters found on held-out images.
 
-    Fields are those of the network's config of the same names (``look_slope`` is None where it has
-    none), its buffer ``variance_scales`` ``(2,)``, and the probability of being in view below which
-    images are flagged, None where there were no images without the object.
+    Fields are those of the network's config of the same names, its buffer ``variance_scales``
+    ``(2,)``, and the probability of being in view below which images are flagged, None where there
+    were no images without the object.
     """
 
     distance_scale: float
@@ -93,7 +91,7 @@ class Calibration(NamedTuple):
     truncation_sigma: tuple[float, float]
     degrees_of_freedom: tuple[float, float]
     in_view_threshold: float | None
-    look_slope: tuple[float, float] | None = None
+    look_slope: tuple[float, float]
 
 
 class Tails(NamedTuple):
@@ -109,7 +107,7 @@ class Tails(NamedTuple):
 
 
 def calibrate(
-    model: SecondLookNetwork,
+    model: PolarPose,
     labeled: Iterable[Sample],
     empty: Iterable[Tensor],
     cut: Iterable[Sample] = (),
@@ -132,11 +130,8 @@ def calibrate(
         symmetry: Errors are modulo it.
 
     Raises:
-        ValueError: The network predicts no uncertainty, ``labeled`` has no images, or a covariance
-            is not positive definite.
+        ValueError: ``labeled`` has no images, or a covariance is not positive definite.
     """
-    if not looks_twice(model.config):
-        raise ValueError("model: expected one with a second look, got one that sees the frame")
     model.eval()
     with _uncalibrated(model):
         seen = _see_all(model, labeled, symmetry, pointed_off=True)
@@ -175,21 +170,23 @@ def calibrate(
         by_cut,
         degrees,
         choose_threshold(seen["in_view"], np.concatenate(absent)).threshold if absent else None,
-        _look_slope(seen["slopes"]) if isinstance(model, PolarPose) else None,
+        _look_slope(seen["slopes"]),
     )
 
 
-def with_calibration(config: Config, found: Calibration | SecondLookConfig) -> Config:
+def with_calibration(
+    config: PolarPoseConfig, found: Calibration | PolarPoseConfig
+) -> PolarPoseConfig:
     """Return a config with the fields that a calibration has found, or with another config's."""
     names = {field.name for field in fields(config)} & set(Calibration._fields)
     return replace(config, **{name: getattr(found, name) for name in names})
 
 
 @contextmanager
-def _uncalibrated(model: SecondLookNetwork) -> Iterator[None]:
+def _uncalibrated(model: PolarPose) -> Iterator[None]:
     """Let a network predict as if it had never been calibrated."""
     config, scales = model.config, model.variance_scales.clone()
-    model.config = with_calibration(config, type(config)())
+    model.config = with_calibration(config, PolarPoseConfig())
     model.variance_scales.fill_(1)
     try:
         yield
@@ -331,7 +328,7 @@ def _look_slope(measured: FloatArray) -> tuple[float, float]:
 
 
 def _see_all(
-    model: SecondLookNetwork,
+    model: PolarPose,
     labeled: Iterable[Sample],
     symmetry: SymmetryGroup,
     *,
@@ -339,11 +336,10 @@ def _see_all(
 ) -> dict[str, FloatArray]:
     """Return what the network predicts for all images, and the nearest truth of the same look.
 
-    With ``pointed_off`` the ``slopes`` of its looks too, where it has them. Empty without images.
+    With ``pointed_off`` the ``slopes`` of its looks too. Empty without images.
     """
-    off = pointed_off and isinstance(model, PolarPose)
     seen = [
-        _see(model, batch.image, batch.translation if off else None)
+        _see(model, batch.image, batch.translation if pointed_off else None)
         | {
             "true_translation": _array(batch.translation),
             "true_orientation": _array(batch.orientation),
@@ -361,7 +357,7 @@ def _see_all(
 
 
 def _too_far(
-    model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: float
+    model: PolarPose, seen: Mapping[str, FloatArray], factor: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the shares that are cut off, and how much too far log distances are, ``(N,)`` each."""
     found = seen["translation"] * factor
@@ -392,9 +388,7 @@ def _distances(
     )
 
 
-def _see(
-    model: SecondLookNetwork, images: Tensor, about: Tensor | None = None
-) -> dict[str, FloatArray]:
+def _see(model: PolarPose, images: Tensor, about: Tensor | None = None) -> dict[str, FloatArray]:
     """Return the fields of `ffpose.models.base.UncertainPose` for a batch, in float64.
 
     With the true translations ``about (B, 3)`` the `slopes` of looks about them too.
@@ -404,7 +398,6 @@ def _see(
         found = model(images)
         told = found._asdict()
         if about is not None:
-            assert isinstance(model, PolarPose)
             truth = about.to(found.translation)
             told["slopes"] = slopes(model, images, truth, found.translation_covariance)
     return {name: _array(values) for name, values in told.items()}

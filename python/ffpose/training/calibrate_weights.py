@@ -18,7 +18,7 @@ from ffpose.config import looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
 from ffpose.imaging.reprojection import agree, bends
 from ffpose.models import (
-    SecondLookNetwork,
+    PolarPose,
     WeightsMetadata,
     load_network,
     read_metadata,
@@ -134,7 +134,7 @@ def write_calibrated(
     """Calibrate a weights file on opened images; see `calibrate_weights`."""
     path, metadata = resolve(weights), read_metadata(weights)
     model = load_network(path)
-    assert isinstance(model, SecondLookNetwork)
+    assert isinstance(model, PolarPose)
     preprocessing = images.whole.preprocessing
     others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
     cut = () if images.cut is None else _batches(images.cut)

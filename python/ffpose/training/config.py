@@ -15,9 +15,7 @@ from ffpose.errors import check_choices, expect, expect_least
 from ffpose.imaging.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
-ModelName = Literal[
-    "base", "small", "tiny", "compact", "transformerpose", "polar", "ursonet", "posenet"
-]
+ModelName = Literal["base", "small", "tiny", "transformerpose", "polar", "ursonet", "posenet"]
 """Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
 
 
@@ -350,9 +348,9 @@ class TrainConfig:
     Attributes:
         data: Training and validation images.
         out: Folder to write; it must not contain another run.
-        model: Preset of the network: base (the paper's), small, tiny or compact; transformerpose
-            (base without filters); polar, that of the shipped weights; ursonet or posenet, which
-            the paper compares with.
+        model: Preset of the network: base (the paper's), small or tiny; transformerpose (base
+            without filters); polar, that of the shipped weights; ursonet or posenet, which the
+            paper compares with.
         model_fields: Fields of the preset to change, such as {"depth": 5}. Tuples are stored as
             lists, which is what a YAML file gives back.
         backbone_weights: "auto" (pretrained), "none" (random), or a file.

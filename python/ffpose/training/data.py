@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose._internal.seeds import TRAINING, VALIDATION, matching
-from ffpose.config import NetworkConfig, SecondLookConfig, looks_twice
+from ffpose.config import NetworkConfig, PolarPoseConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
     PoseDataset,
@@ -202,7 +202,7 @@ def _scenes(
     return TrainingData(poses, val_set, camera, None, patches, empty, calibration, keypoints)
 
 
-def patch_spec(model: SecondLookConfig, camera: Camera) -> PatchSpec:
+def patch_spec(model: PolarPoseConfig, camera: Camera) -> PatchSpec:
     """Return how a network looks at the images of its camera."""
     return PatchSpec(camera, model.first_stride, model.object_width, model.object_radius_m)
 

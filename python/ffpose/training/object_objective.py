@@ -14,9 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
-from ffpose.models import SecondLookNetwork
+from ffpose.models import PolarPose
 from ffpose.models.second_look import SecondLookOutput, sigma_loss
 from ffpose.nn.rotations import nearest_equivalent, rotation_between, rotation_vector
 from ffpose.training.config import ObjectLossConfig
@@ -39,28 +38,22 @@ class ObjectObjective(nn.Module):
         keypoints: Number of the object's keypoints.
         symmetry: Errors of the decoded attitude are modulo it; the head learns the labels that the
             batches have.
-
-    Raises:
-        ValueError: The network looks once.
     """
 
     rotations: Tensor
 
     def __init__(
         self,
-        model: SecondLookNetwork,
+        model: PolarPose,
         config: ObjectLossConfig,
         keypoints: int = 0,
         symmetry: SymmetryGroup = IDENTITY,
     ) -> None:
         super().__init__()
-        if not looks_twice(model.config) or model.object_backbone is None:
-            raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.config = config
         rotations = torch.from_numpy(symmetry.rotations).float()
         self.register_buffer("rotations", rotations, persistent=False)
         rows, columns = model.config.object_grid
-        self.cyclic = model.config.polar
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)
         channels = model.object_backbone.channels[0]
         maps = {"coordinates": 4 if config.renders else 0, "heatmaps": keypoints}
@@ -72,7 +65,7 @@ class ObjectObjective(nn.Module):
             }
         )
 
-    def forward(self, model: SecondLookNetwork, batch: PatchBatch) -> LossTerms:
+    def forward(self, model: PolarPose, batch: PatchBatch) -> LossTerms:
         """Return the loss, the mean position errors in meters at unit distance, and the head's."""
         first = model.first_loss(batch.frames, batch.translation)
         feature_map = model.encode(batch.crops, batch.tan_half_angle)
@@ -82,7 +75,7 @@ class ObjectObjective(nn.Module):
 
     def _terms(
         self,
-        model: SecondLookNetwork,
+        model: PolarPose,
         batch: PatchBatch,
         first: Tensor,
         feature_map: Tensor,
@@ -115,10 +108,10 @@ class ObjectObjective(nn.Module):
         if "heatmaps" in self.dense:
             seen = self._maps("heatmaps", feature_map, batch)
             places = batch.keypoints[present]
-            total = total + c.keypoints * heatmap_loss(seen, places, self.cyclic)
+            total = total + c.keypoints * heatmap_loss(seen, places)
         return LossTerms(total, first + offset, orientation)
 
-    def _decoded(self, model: SecondLookNetwork, numbers: SecondLookOutput) -> Tensor:
+    def _decoded(self, model: PolarPose, numbers: SecondLookOutput) -> Tensor:
         """Return the attitudes ``(B, 4)``, with gradients where the loss has a term of them."""
         if self.config.angle > 0:
             return model.orientation.decode(numbers.orientation)
@@ -139,25 +132,25 @@ class ObjectObjective(nn.Module):
         return self.config.coordinates * error + self.config.mask * silhouette
 
 
-def heatmap_loss(logits: Tensor, places: Tensor, cyclic: bool = False) -> Tensor:
+def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
     """Return the mean cross-entropy of heatmaps over the keypoints that the view shows.
 
     The label of a keypoint is distributed over the four nearest cells as bilinear interpolation
-    would weight them, so that it keeps the place within a cell.
+    would weight them, so that it keeps the place within a cell. The last column is beside the
+    first, as in polar coordinates.
 
     Args:
         logits: ``(B, K, rows, columns)``, of the cell in which each keypoint lies.
         places: ``(B, K, 2)``, column and row relative to width and height; those outside of 0 to 1
             do not count.
-        cyclic: Whether the last column is beside the first, as in polar coordinates.
     """
     rows, columns = logits.shape[2:]
     shown = ((places > 0) & (places < 1)).all(-1)
     log_p = logits.flatten(2).log_softmax(-1)
     sides = torch.tensor([columns, rows], dtype=places.dtype, device=places.device)
     at = places * sides - 0.5
-    inside = at.clamp_min(0).minimum(sides - 1)
-    at = torch.where(torch.tensor([cyclic, False], device=at.device), at, inside)
+    around, across = at.unbind(-1)
+    at = torch.stack([around, across.clamp(0, rows - 1)], dim=-1)
     near = at.floor()
     rest = at - near
     total = torch.zeros_like(log_p[..., 0])
@@ -165,7 +158,7 @@ def heatmap_loss(logits: Tensor, places: Tensor, cyclic: bool = False) -> Tensor
         step = torch.tensor([right, below], dtype=places.dtype, device=places.device)
         weight = torch.where(step > 0, rest, 1 - rest).prod(-1)
         u, v = (near + step).long().unbind(-1)
-        cell = v.clamp(0, rows - 1) * columns + (u % columns if cyclic else u.clamp(0, columns - 1))
+        cell = v.clamp(0, rows - 1) * columns + u % columns
         total = total - weight * log_p.gather(-1, cell[..., None])[..., 0]
     return (total * shown).sum() / shown.sum().clamp_min(1)
 

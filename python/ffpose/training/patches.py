@@ -30,12 +30,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from ffpose.config import looks_twice
 from ffpose.geometry.rotations import rotation_matrix
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
-from ffpose.models import SecondLookNetwork
+from ffpose.models import PolarPose
 from ffpose.models.second_look import in_front, offset_of
 from ffpose.models.virtual_camera import (
     VirtualCamera,
@@ -135,14 +134,11 @@ class PatchBatches:
         keypoints: Points of the object ``(K, 3)``, meters; there may be none.
         symmetry: Rotations that leave the object's look unchanged.
         device: Where the batches are made.
-
-    Raises:
-        ValueError: The network has no second look.
     """
 
     def __init__(
         self,
-        model: SecondLookNetwork,
+        model: PolarPose,
         arrays: Sequence[Arrays],
         empty: Sequence[Arrays],
         augmentation: PatchAugmentation,
@@ -163,8 +159,7 @@ class PatchBatches:
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
-        if not looks_twice(config) or config.camera is None:
-            raise ValueError("model: expected one with a second look, got one that sees the frame")
+        assert config.camera is not None  # a second look needs it
         fx, fy, cx, cy = (value / config.first_stride for value in config.camera)
         matrix = torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         self.frame_matrix, self.frame_inverse = matrix.to(device), matrix.inverse().to(device)

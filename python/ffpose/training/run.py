@@ -16,7 +16,7 @@ from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     BaseNetwork,
-    SecondLookNetwork,
+    PolarPose,
     backbone_preprocessing,
     build_network,
     find_config,
@@ -157,7 +157,7 @@ def _task(
     symmetry: SymmetryGroup,
 ) -> Task:
     shared = config.batch_size, config.data.workers, processes
-    if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
+    if isinstance(model, PolarPose):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
         loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)
         patches = PatchBatches(

@@ -26,7 +26,7 @@ from torch.utils.data import DataLoader
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.errors import expect
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import BaseNetwork, FrameNetwork, SecondLookNetwork
+from ffpose.models import BaseNetwork, FrameNetwork, PolarPose
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
@@ -227,7 +227,7 @@ class ObjectTask(Task):
         self, model: BaseNetwork, batch: PatchBatch | StoredBatch, device: torch.device
     ) -> LossTerms:
         """Return the loss of a batch."""
-        assert isinstance(model, SecondLookNetwork)
+        assert isinstance(model, PolarPose)
         if isinstance(batch, StoredBatch):
             with torch.no_grad(), torch.autocast(device.type, enabled=False):
                 batch = self.patches.augmented(batch)

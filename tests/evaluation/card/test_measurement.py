@@ -19,7 +19,7 @@ from ffpose.evaluation.card.measurement import Shown, answer, measure
 from ffpose.evaluation.card.statistics import Answers
 from ffpose.evaluation.card.tables import format_card
 from ffpose.geometry import Pose, PoseUncertainty
-from ffpose.models import FilterformerPose
+from ffpose.models import build_network
 from ffpose.render import find_scene
 from ffpose.render.dataset.tables import conditions_of
 from ffpose.render.renderer import situation
@@ -30,26 +30,24 @@ FRAME_FIELDS = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
 LOOK_FIELDS = {
     "image_size": (48, 64),
     "camera": (32.0, 32.0, 32.0, 24.0),
-    "first_stride": 1,
-    "bins": 64,
-    "bins_degree": 1,
-    "object_size": (32, 32),
-    "head_hidden": 16,
+    "first_stride": 4,
+    "object_size": (16, 48),
+    "directions": 50,
+    "latent": 16,
     "distance_m": (8.0, 22.0),
-    "object_backbone": "compact_resnet_narrow",
 }
 
 
 def save(path, name, threshold=None, **fields):
     torch.manual_seed(0)
-    model = FilterformerPose.from_config(name, backbone_weights="none", **fields)
+    model = build_network(name, backbone_weights="none", **fields)
     model.save_pretrained(path, in_view_threshold=threshold)
     return path
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    return save(tmp_path_factory.mktemp("card") / "look.safetensors", "compact", 0.5, **LOOK_FIELDS)
+    return save(tmp_path_factory.mktemp("card") / "look.safetensors", "polar", 0.5, **LOOK_FIELDS)
 
 
 @pytest.fixture(scope="module")
