@@ -8,9 +8,7 @@ after equal time.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
 
-from ffpose._internal.choices import PolarMixer
 from ffpose.training.config import DataConfig, OptimizerConfig, TrainConfig
 from studies.study import Study, Variant
 
@@ -60,8 +58,8 @@ MIXERS = Study(
     about="What mixes the cells of a polar second look: filter, convolutions, attention.",
     base=BASE,
     variants=tuple(
-        Variant(mixer, f"polar, {ABOUT[mixer]}", {"model_fields": {"mixer": mixer}})
-        for mixer in get_args(PolarMixer)
+        Variant(mixer, f"polar, {about}", {"model_fields": {"mixer": mixer}})
+        for mixer, about in ABOUT.items()
     ),
     notes="The variants are the preset polar with looks=1, equal but for what mixes the cells in "
     "its blocks. Each takes two second looks, the second where the first found the object, and its "

@@ -146,7 +146,9 @@ def steady(variance, *, takes_point=False, rounds=0, sure=True, turned=0, rotati
     graph = helper.make_graph(nodes, "steady", inputs, outputs, kept)
     opsets = [helper.make_opsetid("", 18)]
     model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
-    config = replace(PRESETS["polar"], image_size=SIZE, degrees_of_freedom=(5.0, 4.0))
+    config = replace(
+        PRESETS["polar"], image_size=SIZE, first_stride=4, degrees_of_freedom=(5.0, 4.0)
+    )
     plain = Preprocessing(SIZE, mean=(0, 0, 0), std=(1, 1, 1))
     told = {"weights_sha256": "ab" * 32, "tracking": {"attitude_angle": 18}} | fields
     metadata = ModelMetadata(config, plain, "none", CAMERA, 0.5, takes_point=takes_point, **told)

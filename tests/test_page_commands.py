@@ -39,7 +39,7 @@ TRAINING = "--epochs 1 --backbone-weights none"
 SMALL_LOOKING = {**LOOKING, "image_size": [96, 128]}
 VIEWS = (
     f"{shlex.join(options_of(SMALL_LOOKING))} "
-    "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
+    "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 --data.dusk 2 "
     "--data.validation 2 --data.calibration 2 --data.workers 0 --batch-size 4 --config stages.yaml"
 )
 URSONET = {"backbone": "resnet18", "image_size": [240, 320]}
@@ -74,8 +74,8 @@ SMALL = {
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants tokens posenet {RENDERED}",
-    "--seeds 2 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
-    f" --variants base {TWO_LOOKS}",
+    "--seeds 3 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
+    f" --variants depthwise3 {TWO_LOOKS}",
     "--seeds 1 --minutes 5": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants filter {TWO_LOOKS}",
     "--out runs/table3 --seeds 3": "--out runs/table3 --seeds 1 --epochs 3"

@@ -8,8 +8,12 @@ import torch
 
 from ffpose._internal.figures import new_figure, save_figure
 from ffpose.config import PRESETS
-from ffpose.models.virtual_camera import pyramid, render_virtual, turn_to
+from ffpose.models.virtual_camera import homography, pyramid, render_virtual, turn_to
+from ffpose.nn.pyramid import sample_pyramid
 from ffpose.render import render
+
+SIDE = 400
+"""Pixels along each side of the view in rows and columns."""
 
 TURN_CELLS = 4
 """Cells of the last map, of 15 degrees each, by which the camera of the lower row is turned."""
@@ -25,13 +29,16 @@ cells = config.object_grid[1]
 figure = new_figure(11, 5.2)
 for row, turn in enumerate((0.0, 2 * math.pi / cells * TURN_CELLS)):
     twist = torch.tensor([turn])
-    square = turn_to(point, config.object_radius_m, (400, 400), twist)
-    polar = turn_to(
-        point, config.object_radius_m, config.object_size, twist, polar_width=config.object_width
-    )
+    view = turn_to(point, config.object_radius_m, config.object_size, config.object_width, twist)
+    side = ((torch.arange(SIDE) + 0.5) / SIDE - 0.5) * view.width
+    plane = torch.stack(torch.meshgrid(side, side, indexing="xy"))
+    finest, levels = torch.zeros(1), pyramid(image)
     seen = (
-        render_virtual(pyramid(image), view, point, intrinsics)[0].permute(1, 2, 0)
-        for view in (square, polar)
+        picture[0].permute(1, 2, 0)
+        for picture in (
+            sample_pyramid(homography(view, intrinsics), finest, plane, levels),
+            render_virtual(levels, view, point, intrinsics),
+        )
     )
     left, right = (figure.add_subplot(2, 2, 2 * row + column) for column in (1, 2))
     for axes, picture in zip((left, right), seen, strict=True):

@@ -269,12 +269,29 @@ def test_one_candidate_and_one_look_are_one_view(tmp_path):
 
 
 def test_weights_there_and_back(model, tmp_path):
+    expected = model(images())
+    model.variance_scales.copy_(torch.tensor([1.5, 2.5]))
     model.save_pretrained(tmp_path / "polar.safetensors")
     loaded = load_network(tmp_path / "polar.safetensors")
     assert loaded.config == model.config
-    for got, expected in zip(loaded(images()), model(images()), strict=True):
-        assert torch.equal(got, expected)
-    assert not [name for name in model.state_dict() if name.endswith(("bins", "turns", "around"))]
+    got = loaded(images())
+    for name in ("translation", "orientation", "in_view", "alternative", "probabilities"):
+        assert torch.equal(getattr(got, name), getattr(expected, name))
+    torch.testing.assert_close(got.translation_covariance, 1.5 * expected.translation_covariance)
+    torch.testing.assert_close(got.rotation_covariance, 2.5 * expected.rotation_covariance)
+
+
+def test_no_table_is_saved(model):
+    """Of buffers only what training or calibration changes."""
+    saved = set(model.state_dict()) - {name for name, _ in model.named_parameters()}
+    kept = ("running_mean", "running_var", "num_batches_tracked", "variance_scales")
+    assert all(name.endswith(kept) for name in saved)
+
+
+def test_images_do_not_mix(model):
+    together = model(images())
+    for got, expected in zip(model(images()[1:2]), together, strict=True):
+        torch.testing.assert_close(got, expected[1:2], rtol=1e-4, atol=1e-4)
 
 
 def test_what_weights_depend_on_is_not_changed_as_they_are_loaded(model, tmp_path):
@@ -340,6 +357,20 @@ def test_wild_looks_give_a_pose_in_front(model, monkeypatch, number):
     assert (pose.translation[:, 2] > 0).all()
     for covariance in (pose.translation_covariance, pose.rotation_covariance):
         assert (torch.linalg.eigvalsh(covariance.double()) > 0).all()
+
+
+@pytest.mark.parametrize("wild", [1e30, -1e30])
+def test_a_wild_first_look_gives_a_pose_in_front(model, monkeypatch, wild):
+    rows, columns = model.config.heat_grid
+    maps = torch.zeros(3, 1, rows, columns), torch.full((3, 1, rows, columns), wild)
+    maps[0][:, :, 0, -1] = abs(wild)
+    shapes = [part.shape for part in model.locate(torch.zeros(3, 3, 24, 32))]
+    monkeypatch.setattr(
+        model, "locate", lambda _: [m.view(s) for m, s in zip(maps, shapes, strict=True)]
+    )
+    pose = model(images())
+    assert all(each.isfinite().all() for each in pose)
+    assert (pose.translation[:, 2] > 0).all()
 
 
 def test_pictures_of_nothing(model):
@@ -459,6 +490,12 @@ def test_turned_attitudes_are_scipys(model):
         ({"first_stride": 5}, r"first_stride: .* divisor of image_size \(96, 128\), got 5"),
         ({"distance_m": (20.0, 10.0)}, r"distance_m: expected 0 < near < far, got \(20.0, 10.0\)"),
         ({"distance_m": (1.0, math.inf)}, "distance_m: expected 0 < near"),
+        ({"distance_m": (0.0, 10.0)}, "distance_m: expected 0 < near"),
+        ({"first_stride": 0}, "first_stride: expected a whole number, at least 1, got 0"),
+        ({"distance_scale": 0.0}, "distance_scale: expected above 0, got 0"),
+        ({"truncation_distance": math.nan}, "truncation_distance: expected a finite number"),
+        ({"truncation_sigma": (-1.0, 0.0)}, "truncation_sigma: expected 0 or more each"),
+        ({"look_slope": (0.0, 1.0)}, "look_slope: expected above 0 each"),
         ({"doubt_sigma": (0.0, -1.0)}, "doubt_sigma: expected 0 or more each"),
         ({"degrees_of_freedom": (4.0, 2.0)}, "degrees_of_freedom: expected above 2 and up to 1000"),
         ({"degrees_of_freedom": (4.0,)}, "degrees_of_freedom: expected 2 numbers"),

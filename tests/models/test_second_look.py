@@ -9,7 +9,6 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 
-from ffpose.geometry import Camera
 from ffpose.models.second_look import (
     OFFSET_LIMIT,
     SecondLookOutput,
@@ -170,10 +169,6 @@ def test_a_half_turn_is_pi_about_its_axis_either_way():
     axis = np.array([0.6, 0.0, -0.8])
     got = rotation_vector(torch.tensor([[0.0, *axis], [0.0, *-axis]])).numpy()
     np.testing.assert_allclose(got, np.pi * np.array([axis, -axis]), rtol=1e-6)
-
-
-FRAME = Camera(640, 480, 500.0, 520.0, 320.0, 240.0)
-CENTERED = torch.tensor([FRAME.fx, FRAME.fy, FRAME.cx, FRAME.cy])
 
 
 def numbers_of(log_sigma, shear):

@@ -11,7 +11,7 @@ import torch
 from cambridge_sets import write_landmarks
 from ffpose.training import PAPER_STAGES, Stage
 from ffpose.training.engine import train
-from studies import get_study, run
+from studies import Variant, get_study, run
 from studies.__main__ import main
 from studies.table import read_results
 from tiny_study import tiny_study, write_sets
@@ -187,19 +187,24 @@ SMALL = {
 
 
 @pytest.mark.slow
-def test_mixers_train_and_are_tested_on_the_same_scenes(tmp_path):
-    run.ablate(
-        get_study("mixers"),
-        tmp_path,
-        seeds=1,
-        variants=["filter", "depthwise3"],
-        changes=SMALL,
-        test_images=5,
-        quiet=True,
-    )
+def test_one_look_and_two_train_and_are_tested_on_the_same_scenes(tmp_path):
+    mixers = get_study("mixers")
+    frame = {"model_fields": {"image_size": [96, 128], "dim": 16, "head_hidden": 16}}
+    once = replace(mixers, base=replace(mixers.base, model="tiny", model_fields={}))
+    once = replace(once, variants=(Variant("frame", ""),))
+    for study, fields in ((mixers, SMALL), (once, SMALL | frame)):
+        run.ablate(
+            study,
+            tmp_path / study.variants[0].name,
+            seeds=1,
+            variants=[study.variants[0].name],
+            changes=fields,
+            test_images=5,
+            quiet=True,
+        )
     first, second = (
-        json.loads((tmp_path / f"{name}-seed0/results.json").read_text())["test"]
-        for name in ("filter", "depthwise3")
+        json.loads((tmp_path / name / f"{name}-seed0/results.json").read_text())["test"]
+        for name in ("filter", "frame")
     )
     assert first["images"] == second["images"] == 5
     poses = [each["mean_pose_baseline"]["pose"] for each in (first, second)]
@@ -222,7 +227,7 @@ def test_the_command_prints_the_table(tmp_path, sets, monkeypatch, capsys):
 
 def test_the_command_lists_the_studies(tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
-        main(["attitudes", "--out", str(tmp_path)])
+        main(["mixer", "--out", str(tmp_path)])
     assert leaving.value.code == 2
     assert "'mixers', 'networks', 'table1', 'table2'" in capsys.readouterr().err
 

@@ -49,14 +49,9 @@ class NetworkConfig:
             if get_origin(kind) is tuple:  # JSON and YAML bring lists
                 object.__setattr__(self, name, _as_tuple(name, value, len(get_args(kind))))
             elif kind is int:
-                least = self._least(name)
-                fits = is_whole(value) and value >= least
-                expect(fits, name, f"a whole number, at least {least}", value)
+                fits = is_whole(value) and value >= 1
+                expect(fits, name, "a whole number, at least 1", value)
         self._check_values()
-
-    def _least(self, name: str) -> int:
-        """Return the smallest value of a field that is a whole number."""
-        return 1
 
     def _check_values(self) -> None:
         """Check the values of single fields, and of fields together."""
@@ -157,7 +152,7 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class FrameConfig(NetworkConfig):
-    """Fields of a network that may regress the translation from the whole frame.
+    """Fields of a network that regresses the translation from the whole frame.
 
     Attributes:
         translation_mean: Mean that is added to the translation head's output, meters, camera frame.

@@ -34,7 +34,7 @@ Content = Literal["object", "empty", "decoy"]
 """Content of a patch: the object, nothing, or another object in its place."""
 
 WINDOW_MARGIN = 16
-"""Pixels by which a window is wider than twice the virtual camera's image.
+"""Pixels by which a window is wider than twice the virtual camera's view.
 
 Its resolution is up to 1.6 times as high: there is room for rotation and displacement too."""
 
@@ -54,7 +54,7 @@ class PatchSpec:
     Attributes:
         camera: Camera of the network's input, the finest level of the image pyramid.
         first_stride: Pixels of the input per pixel of the first look.
-        object_width: Width of the virtual camera's image, pixels.
+        object_width: Width of the virtual camera's view, pixels.
         object_radius_m: Half the width of the virtual camera's view at the object, meters.
     """
 

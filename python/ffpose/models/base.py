@@ -50,9 +50,9 @@ class UncertainPose(NamedTuple):
             ``R_true = exp([r]x) R``.
         in_view: ``(B,)``, probability that the object is in the image.
         alternative: ``(B, 4)``, the second most likely orientation, as ``orientation``, which is
-            the most likely; of a network that knows no second one the same.
+            the most likely.
         probabilities: ``(B, 2)``, that the true orientation is near ``orientation`` and near
-            ``alternative`` (`ffpose.nn.polar_bins.Modes`); one and zero where none is known.
+            ``alternative`` (`ffpose.nn.polar_bins.Modes`).
     """
 
     translation: Tensor
@@ -207,7 +207,7 @@ class BaseNetwork(nn.Module, ABC):
 
         Args:
             path: Weights file, or name of shipped weights such as ``"soyuz"``.
-            **fields: Fields of the config to change that the weights do not depend on: ``looks``,
+            **fields: Fields of the config to change that the weights do not depend on: ``looks``
                 and ``candidates`` of PolarPose, for less latency.
 
         Raises:
@@ -259,7 +259,7 @@ class FrameNetwork(BaseNetwork):
         distance: Tensor = torch.linalg.vector_norm(t - t_hat, dim=-1)
         return distance
 
-    def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
+    def forward(self, images: Tensor) -> PosePrediction:
         """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
         self.check_images(images)
         translation, orientation = self.regress(images)

@@ -4,18 +4,18 @@ Translations are scaled by one factor, such that the median error of the logarit
 is zero. An object that the border of the frame cuts looks farther than it is: the logarithm of its
 distance is reduced by a multiple of the squared share of its view that is cut off, the one with the
 least absolute errors. Looks at points about the object tell by how much their offset follows the
-true one. The errors of translation, and those of rotation, are
-taken for multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using
-the t Distribution", JASA 1989): most are as small as the network says, and some are much larger.
-Those of the rotation are so about either of two modes, where a network tells two with their
-probabilities: it may not know which of two sides that look alike it sees. Found by maximum
-likelihood are the degrees of freedom, a scale of the covariances, and how the standard deviations
-grow with the network's own doubt of the attitude, the probability that its bins give to attitudes
-far from the most likely one, and with the squared share that is cut off. This is the analog of
-temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
-2017). The covariances are then those of the t distributions, not their scale matrices. Errors of
-heavily truncated objects are not quite t distributed: the growth with truncation is found anew,
-such that their confidence regions have the nominal coverage (as in conformal prediction).
+true one. The errors of translation, and those of rotation, are taken for multivariate t distributed
+(Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", JASA 1989): most
+are as small as the network says, and some are much larger. Those of the rotation are so about
+either of two modes, told with their probabilities: the network may not know which of two sides that
+look alike it sees. Found by maximum likelihood are the degrees of freedom, a scale of the
+covariances, and how the standard deviations grow with the network's own doubt of the attitude, the
+probability that its bins give to attitudes far from the most likely one, and with the squared share
+that is cut off. This is the analog of temperature scaling for probabilities (Guo et al., "On
+Calibration of Modern Neural Networks", ICML 2017). The covariances are then those of the t
+distributions, not their scale matrices. Errors of heavily truncated objects are not quite t
+distributed: the growth with truncation is found anew, such that their confidence regions have the
+nominal coverage (as in conformal prediction).
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def calibrate(
     is put in evaluation mode and otherwise left as it is.
 
     Args:
-        model: A network with a second look.
+        model: The network.
         labeled: Batches of held-out images, as a DataLoader of a `PoseDataset` yields them.
         empty: Standardized batches ``(B, 3, H, W)`` that do not show the object, for the threshold.
         cut: Batches like ``labeled``, whose objects the border cuts, that count for the errors'
@@ -228,7 +228,7 @@ def fit_tails(
 
     With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
     times ``(1 + k p)² (1 + l s²)²``; where all are zero no growth is found. Degrees of freedom are
-    `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.second_look.MOST_DEGREES_OF_FREEDOM`.
+    `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
 
     Args:
         squared_distance: ``eᵀ C⁻¹ e`` of the errors ``(N,)``, or of those from each of several
