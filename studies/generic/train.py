@@ -38,7 +38,7 @@ from ffpose.models.weights import load_weights
 from ffpose.training import OptimizerConfig
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import ObjectLossConfig, PatchAugmentation
-from ffpose.training.patches import PatchBatch, PatchBatches, StoredBatch
+from ffpose.training.patches import PatchBatch, PatchBatches, Prepared
 from ffpose.training.run import build_optimizer
 from ffpose.training.schedule import learning_rate
 from studies.generic.heads import ManyBinsHead, ManyObjective
@@ -211,7 +211,7 @@ def _views(job: tuple[Path, int, int, int, int, int]) -> tuple[Arrays | None, bo
     return {**arrays, "labels": labels}, part < len(sets)
 
 
-def _read(epoch: Any, workers: int) -> Iterator[PatchBatch | StoredBatch]:
+def _read(epoch: Any, workers: int) -> Iterator[Prepared]:
     context = "fork" if workers and sys.platform == "linux" else None
     return iter(
         DataLoader(
@@ -224,13 +224,13 @@ def _read(epoch: Any, workers: int) -> Iterator[PatchBatch | StoredBatch]:
 
 
 def _step(
-    batch: PatchBatch | StoredBatch,
+    batch: Prepared,
     batches: PatchBatches,
     model: PolarPose,
     loss: ManyObjective,
     optimizer: torch.optim.Optimizer,
 ) -> torch.Tensor:
-    if isinstance(batch, StoredBatch):
+    if not isinstance(batch, PatchBatch):
         with torch.no_grad():
             batch = batches.augmented(batch)
     kind = batches.device.type

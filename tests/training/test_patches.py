@@ -14,7 +14,7 @@ from ffpose.models import build_network
 from ffpose.models.virtual_camera import VirtualCamera, turn_to
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
-from ffpose.training.patches import PatchBatches, StoredBatch
+from ffpose.training.patches import DrawnBatch, PatchBatches, StoredBatch
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
 RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5
@@ -580,6 +580,20 @@ def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):
     for stored_batch, batch in zip(read, made, strict=True):
         assert isinstance(stored_batch, StoredBatch)
         for got, expected in zip(views.augmented(stored_batch), batch, strict=True):
+            assert torch.equal(got, expected)
+
+
+def test_patches_that_a_device_holds_are_the_same_batches(model, dotted):
+    """What is drawn is small, and the patches come from where they are held."""
+    views = batches(model, [dotted, dotted], greens(dotted), empty=0.25, jpeg=0.3)
+    made = list(views.epoch(3, 16))
+    views.hold()
+    drawn = list(views.epoch(3, 16))
+    assert len(drawn) == len(made) == 3
+    for one, batch in zip(drawn, made, strict=True):
+        assert isinstance(one, DrawnBatch)
+        assert len(one.jpeg) == len(one.changed) > 0
+        for got, expected in zip(views.augmented(one), batch, strict=True):
             assert torch.equal(got, expected)
 
 

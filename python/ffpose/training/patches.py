@@ -12,7 +12,8 @@ are varied before, in the stored pixels, as a camera makes them: a polar view ha
 of other resolutions, which they do not know.
 
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
-once from whole patches, and processes on the CPU only read those (`PatchBatches.stored`).
+once from whole patches. It holds all of them where its memory has room (`PatchBatches.held`), and
+processes on the CPU only draw which are shown; otherwise they read those (`PatchBatches.stored`).
 
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes
 and other spacecraft, looked at as if the object were there, and images that are not scenes at all.
@@ -22,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -120,6 +121,35 @@ class StoredBatch(NamedTuple):
     seed: int
 
 
+class DrawnBatch(NamedTuple):
+    """Which samples a batch shows, of patches that a GPU holds.
+
+    Attributes:
+        index: ``(B,)``, indices of the samples in the set.
+        frames: Number of samples that have a frame, the first ones.
+        negatives: Number of samples that do not show the object, the first ones.
+        scenes: Indices of the patches without an object that the last of these show.
+        changed: Places in `StoredBatch.windows` of those that went through a JPEG file.
+        jpeg: ``(J, S, S, 3)`` uint8, what the files show.
+        seed: Of the random numbers of their augmentation.
+    """
+
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
+    frames: int
+    negatives: int
+    scenes: Tensor
+    changed: Tensor
+    jpeg: Tensor
+    seed: int
+
+
+Prepared = PatchBatch | StoredBatch | DrawnBatch
+"""A batch as `PatchEpoch` gives it: made, or as far as the CPU goes for a GPU."""
+
+HELD_SHARE = 0.5
+"""Largest share of a GPU's free memory that patches take; the network needs the rest."""
+
+
 class PatchBatches:
     """A set of stored patches, and its augmented batches for one network.
 
@@ -134,7 +164,13 @@ class PatchBatches:
         keypoints: Points of the object ``(K, 3)``, meters; there may be none.
         symmetry: Rotations that leave the object's look unchanged.
         device: Where the batches are made.
+
+    Attributes:
+        held: All patches on the device, with an object and without, by the names of their arrays;
+            None where they stay in the memory of the CPU.
     """
+
+    held: tuple[dict[str, Tensor], dict[str, Tensor]] | None = None
 
     def __init__(
         self,
@@ -164,6 +200,12 @@ class PatchBatches:
         matrix = torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         self.frame_matrix, self.frame_inverse = matrix.to(device), matrix.inverse().to(device)
         self.frame_pixels = pixel_centers(*self.sets[0]["frames"].shape[1:3]).to(device)
+        if device.type == "cuda":
+            parts = [part for each in (*self.sets, *self.empty) for part in each.values()]
+            need = sum(part.nbytes for part in parts)
+            free, _ = torch.cuda.mem_get_info(device)
+            if need <= HELD_SHARE * free:
+                self.hold()
 
     def __len__(self) -> int:
         return len(self.places)
@@ -181,8 +223,16 @@ class PatchBatches:
         own = order[processes.share(most * processes.world)]
         return PatchEpoch(self, own, batch_size, (seed, processes.rank))
 
-    def stored(self, index: Tensor, generator: torch.Generator) -> StoredBatch:
-        """Return what is stored of the samples ``index``; a share of the windows as JPEG has it.
+    def hold(self) -> None:
+        """Hold all patches on the device."""
+        names = ("frames", "windows", "coordinates", "labels")
+        self.held = (
+            {name: _joined(self.sets, name, self.device) for name in names},
+            {name: _joined(self.empty, name, self.device) for name in ("windows", "labels")},
+        )
+
+    def drawn(self, index: Tensor, generator: torch.Generator) -> DrawnBatch:
+        """Draw what a batch shows of the samples ``index``; a share of the windows as JPEG has it.
 
         ``generator`` is on the CPU, and draws the seed of the augmentation.
         """
@@ -190,31 +240,54 @@ class PatchBatches:
         first = max(1, _rounded(a.frames * count, generator))
         negatives = min(_rounded(a.empty * count, generator), count - 1)
         scenes = _rounded(SCENES * negatives, generator) if self.empty else 0
-        windows, labels = self._gather("windows", index[negatives:]), self._gather("labels", index)
-        translation = labels[:first, :3].copy()
+        chosen = index[:0]
         if scenes:
             chosen = torch.randint(len(self.empty_places), (scenes,), generator=generator)
-            empty = _rows(self.empty, self.empty_places, "windows", chosen)
-            windows = np.concatenate((empty, windows))
-            rows = slice(negatives - scenes, negatives)
-            labels[rows] = _rows(self.empty, self.empty_places, "labels", chosen)
+        shown = [
+            *((self.empty, place) for place in self.empty_places[chosen.numpy()]),
+            *((self.sets, place) for place in self.places[index[negatives:].numpy()]),
+        ]
+        changed, files = list[int](), list[NDArray[np.uint8]]()
         if a.jpeg > 0:
-            for window in windows:
+            for number, (sets, (n, row)) in enumerate(shown):
                 if draw(generator) < a.jpeg:
-                    window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
+                    window = np.array(sets[n]["windows"][row])
+                    files.append(through_jpeg(window, round(30 + 60 * draw(generator))))
+                    changed.append(number)
+        jpeg = torch.from_numpy(np.stack(files)) if files else torch.zeros(0, dtype=torch.uint8)
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        rows = torch.tensor(changed, dtype=torch.long)
+        return DrawnBatch(index, first, negatives, chosen, rows, jpeg, seed)
+
+    def stored(self, index: Tensor, generator: torch.Generator) -> StoredBatch:
+        """Return what is stored of the samples ``index``, as `drawn` says."""
+        return self.gathered(self.drawn(index, generator))
+
+    def gathered(self, drawn: DrawnBatch) -> StoredBatch:
+        """Return what is stored of drawn samples, from where the patches are."""
+        index, negatives, chosen = drawn.index, drawn.negatives, drawn.scenes
+        windows, labels = self._gather("windows", index[negatives:]), self._gather("labels", index)
+        translation = labels[: drawn.frames, :3].float()
+        if len(chosen):
+            windows = torch.cat((self._gather("windows", chosen, empty=True), windows))
+            rows = slice(negatives - len(chosen), negatives)
+            labels[rows] = self._gather("labels", chosen, empty=True)
+        if len(drawn.changed):
+            windows[drawn.changed.to(windows.device)] = drawn.jpeg.to(windows.device)
         return StoredBatch(
-            torch.from_numpy(self._gather("frames", index[:first])),
-            torch.from_numpy(translation).float(),
-            torch.from_numpy(windows),
-            torch.from_numpy(self._gather("coordinates", index)),
-            torch.from_numpy(labels).float(),
+            self._gather("frames", index[: drawn.frames]),
+            translation,
+            windows,
+            self._gather("coordinates", index),
+            labels.float(),
             index,
             negatives,
-            int(torch.randint(1 << 62, (), generator=generator)),
+            drawn.seed,
         )
 
-    def augmented(self, stored: StoredBatch) -> PatchBatch:
-        """Return what both looks see of stored samples, on the device of this set."""
+    def augmented(self, batch: StoredBatch | DrawnBatch) -> PatchBatch:
+        """Return what both looks see of samples, on the device of this set."""
+        stored = self.gathered(batch) if isinstance(batch, DrawnBatch) else batch
         a, device, count = self.augmentation, self.device, len(stored.labels)
         generator = torch.Generator(device).manual_seed(stored.seed)
         frames, t_frame, windows, coordinates, labels = (part.to(device) for part in stored[:5])
@@ -255,8 +328,11 @@ class PatchBatches:
         seen_from = -rotation[:, 2]  # the camera's direction in the object's frame
         return self.symmetries[(seen_from @ self.references.mT).argmax(dim=1)]
 
-    def _gather(self, name: str, index: Tensor) -> NDArray[Any]:
-        return _rows(self.sets, self.places, name, index)
+    def _gather(self, name: str, index: Tensor, *, empty: bool = False) -> Tensor:
+        if self.held is not None:
+            return self.held[empty][name][index.to(self.device)]
+        sets, places = (self.empty, self.empty_places) if empty else (self.sets, self.places)
+        return torch.from_numpy(np.stack([sets[n][name][row] for n, row in places[index.numpy()]]))
 
     def _turned_frames(
         self, frames: Tensor, t: Tensor, generator: torch.Generator
@@ -350,10 +426,10 @@ class PatchBatches:
         return found
 
 
-class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
+class PatchEpoch(Dataset[Prepared]):
     """The whole batches of one pass over the samples, each made when it is asked for.
 
-    They are made in full on a CPU; for a GPU they are read, and made there.
+    They are made in full on a CPU; for a GPU they are read, or only drawn, and made there.
 
     The random numbers of a batch come from the seed and its number alone, so that it is the same
     whichever thread or process makes it.
@@ -374,8 +450,8 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
     def __len__(self) -> int:
         return len(self.order) // self.batch_size
 
-    def __getitem__(self, number: int) -> PatchBatch | StoredBatch:
-        """Make a batch, or read it."""
+    def __getitem__(self, number: int) -> Prepared:
+        """Make a batch, read it, or draw it."""
         if not 0 <= number < len(self):
             raise IndexError(number)
         (seed,) = np.random.SeedSequence([*self.seed, number]).generate_state(1)
@@ -383,7 +459,10 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
         # A copy: a worker's queue moves what it sends to shared memory, in a thread of its own, and
         # would free the order under the next batch.
         index = self.order[start : start + self.batch_size].clone()
-        stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
+        drawn = self.patches.drawn(index, torch.Generator().manual_seed(int(seed)))
+        if self.patches.held is not None:
+            return drawn
+        stored = self.patches.gathered(drawn)
         return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
 
 
@@ -415,10 +494,10 @@ def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
     )
 
 
-def _rows(
-    sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor
-) -> NDArray[Any]:
-    return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
+def _joined(sets: Sequence[Arrays], name: str, device: torch.device) -> Tensor:
+    """Return an array of all sets on a device, where one after the other is brought."""
+    parts = [torch.from_numpy(np.ascontiguousarray(each[name])).to(device) for each in sets]
+    return torch.cat(parts) if parts else torch.zeros(0, device=device)
 
 
 def _images(pixels: Tensor) -> Tensor:

@@ -31,7 +31,7 @@ from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
-from ffpose.training.patches import PatchBatch, PatchBatches, StoredBatch
+from ffpose.training.patches import PatchBatch, PatchBatches, Prepared
 from ffpose.training.processes import Processes
 from ffpose.training.provenance import describe_data, describe_images
 
@@ -206,7 +206,7 @@ class ObjectTask(Task):
         """Number of batches per epoch in this process."""
         return len(self.patches) // self.processes.world // self.batch_size
 
-    def batches(self, seed: int) -> Iterator[PatchBatch | StoredBatch]:
+    def batches(self, seed: int) -> Iterator[Prepared]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
         epoch = self.patches.epoch(seed, self.batch_size, self.processes)
         workers = min(self.processes.workers(self.workers), len(epoch) // LEAST_BATCHES)
@@ -223,18 +223,16 @@ class ObjectTask(Task):
             )
         )
 
-    def terms(
-        self, model: BaseNetwork, batch: PatchBatch | StoredBatch, device: torch.device
-    ) -> LossTerms:
+    def terms(self, model: BaseNetwork, batch: Prepared, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
         assert isinstance(model, PolarPose)
-        if isinstance(batch, StoredBatch):
+        if not isinstance(batch, PatchBatch):
             with torch.no_grad(), torch.autocast(device.type, enabled=False):
                 batch = self.patches.augmented(batch)
         result: LossTerms = self.loss(model, batch)
         return result
 
-    def names(self, batch: PatchBatch | StoredBatch) -> str:
+    def names(self, batch: Prepared) -> str:
         """Return the indices of a batch's patches."""
         return ", ".join(map(str, batch.index.tolist()))
 
@@ -253,8 +251,8 @@ def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Ite
 
 
 def prefetched(
-    batches: Iterator[PatchBatch | StoredBatch],
-) -> Iterator[PatchBatch | StoredBatch]:
+    batches: Iterator[Prepared],
+) -> Iterator[Prepared]:
     """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)
