@@ -25,6 +25,7 @@ from ffpose.training.config import (
 from ffpose.training.data import open_training_data
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
+from scene_runs import FIELDS
 from tiny_runs import train_config
 
 CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
@@ -229,15 +230,7 @@ def test_images_of_several_cameras_train(own, tmp_path):
 
 def second_look_config(root, out, **fields):
     """One epoch of a small network with a second look on a user's own images."""
-    small = {
-        "image_size": [64, 64],
-        "first_stride": 4,
-        "object_size": [16, 96],
-        "directions": 50,
-        "channels": [8, 16, 24],
-        "blocks": [1, 1],
-        "latent": 32,
-    }
+    small = FIELDS | {"image_size": [64, 64]}
     points = out.with_name("points.csv")
     points.write_text("name,x,y,z\ntip,1,0,0\nfoot,0,-1,0.5\n")
     data = DataConfig("csv", root, holdout=3, keypoints=str(points))
