@@ -6,7 +6,7 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 
 * the orientation (`ffpose.nn.polar_bins`);
 * the offset of the object from the point that the camera was pointed at: ``(x / z, y / z)`` in
-  quarters of the image's width, and the log of the ratio of the distances, times four;
+  quarters of the view's width, and the log of the ratio of the distances, times four;
 * the log standard deviations of the offset and of the rotation vector (Kendall and Gal, "What
   Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017), and how
   they differ by direction across the viewing ray;
@@ -30,7 +30,7 @@ from ffpose.models.virtual_camera import VirtualCamera, chosen
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
-"""Bound on the offset; across the ray 2 is half of the image's width, along it 4 is a factor e."""
+"""Bound on the offset; across the ray 2 is half of the view's width, along it 4 is a factor e."""
 
 LOG_SIGMA_LIMITS = (-6.0, 1.5)
 """Bounds on the log standard deviations, beyond which float32 covariances lose precision."""

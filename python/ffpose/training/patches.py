@@ -267,7 +267,7 @@ class PatchBatches:
         """Return what is stored of drawn samples, from where the patches are."""
         index, negatives, chosen = drawn.index, drawn.negatives, drawn.scenes
         windows, labels = self._gather("windows", index[negatives:]), self._gather("labels", index)
-        translation = labels[: drawn.frames, :3].float()
+        translation = labels[: drawn.frames, :3].clone()  # of the samples, before others' labels
         if len(chosen):
             windows = torch.cat((self._gather("windows", chosen, empty=True), windows))
             rows = slice(negatives - len(chosen), negatives)
@@ -276,7 +276,7 @@ class PatchBatches:
             windows[drawn.changed.to(windows.device)] = drawn.jpeg.to(windows.device)
         return StoredBatch(
             self._gather("frames", index[: drawn.frames]),
-            translation,
+            translation.float(),
             windows,
             self._gather("coordinates", index),
             labels.float(),
