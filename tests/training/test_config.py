@@ -96,7 +96,7 @@ def test_flat_names_reach_into_groups():
         (lambda: config(ema=1.0), "ema: expected 0 <= ema < 1, got 1.0"),
         (lambda: config(autocast="float16"), "expected one of none, bfloat16, auto, got 'float16'"),
         (lambda: config(weights_dtype="int8"), "expected one of float32, float16, got 'int8'"),
-        (lambda: OptimizerConfig(kind="sgd"), "expected one of adam, adamw, got 'sgd'"),
+        (lambda: OptimizerConfig(kind="sgd"), "expected one of adam, adamw, muon, got 'sgd'"),
         (lambda: OptimizerConfig(schedule="linear"), "expected one of step, cosine, got 'linear'"),
     ],
 )

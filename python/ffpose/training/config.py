@@ -210,8 +210,9 @@ class OptimizerConfig:
     """Optimizer and learning rate schedule.
 
     Attributes:
-        kind: "adam", as published, or "adamw", with decoupled weight decay (Loshchilov and Hutter,
-            "Decoupled Weight Decay Regularization", ICLR 2019).
+        kind: "adam", as published; "adamw", with decoupled weight decay (Loshchilov and Hutter,
+            "Decoupled Weight Decay Regularization", ICLR 2019); or "muon", which orthogonalizes the
+            steps of the matrices (`ffpose.training.muon`), and is AdamW for all others.
         learning_rate: Highest learning rate.
         weight_decay: Weight decay of the model's parameters; those of the loss have none.
         eps: Adam's epsilon.
@@ -223,7 +224,7 @@ class OptimizerConfig:
         warmup_epochs: Number of epochs, possibly fractional, of linear warm-up from zero.
     """
 
-    kind: Literal["adam", "adamw"] = "adam"
+    kind: Literal["adam", "adamw", "muon"] = "adam"
     learning_rate: float = 1e-4
     weight_decay: float = 1e-4
     eps: float = 1e-10

@@ -28,6 +28,7 @@ from ffpose.training.calibration_images import CalibrationSet
 from ffpose.training.config import OptimizerConfig, TrainConfig
 from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
 from ffpose.training.losses import JointLoss
+from ffpose.training.muon import Muon, matrices
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import ALONE, Processes
@@ -200,10 +201,17 @@ def scaled_as(weights: WeightsMetadata) -> dict[str, tuple[float, ...]]:
 def build_optimizer(
     model: nn.Module, loss: nn.Module, config: OptimizerConfig
 ) -> torch.optim.Optimizer:
-    """Return Adam over the model, and over the loss's two weights without weight decay."""
+    """Return the optimizer over the model, and over the loss's two weights without weight decay."""
+    weights, decay = list(model.parameters()), {"weight_decay": config.weight_decay}
     groups: list[dict[str, Any]] = [
-        {"params": list(model.parameters()), "weight_decay": config.weight_decay},
+        {"params": weights, **decay},
         {"params": list(loss.parameters()), "weight_decay": 0.0},
     ]
+    if config.kind == "muon":
+        mixing = list(matrices(model))
+        ids = set(map(id, mixing))
+        groups[0]["params"] = [each for each in weights if id(each) not in ids]
+        groups.append({"params": mixing, "matrix": True, **decay})
+        return Muon(groups, config.learning_rate, config.eps)
     adam = torch.optim.AdamW if config.kind == "adamw" else torch.optim.Adam
     return adam(groups, lr=config.learning_rate, eps=config.eps, fused=True)
