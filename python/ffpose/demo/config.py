@@ -9,7 +9,7 @@ from typing import Any
 from ffpose._internal.seeds import CHOICES
 from ffpose.render import Scene, find_scene
 from ffpose.training import DataConfig, TrainConfig
-from ffpose.training.config import ADAMW, PatchAugmentation
+from ffpose.training.config import MUON, PatchAugmentation
 
 SCENE = "soyuz_easy"
 
@@ -90,7 +90,7 @@ class DemoConfig:
             batch_size=max(1, 32 // self.workers),
             processes=self.workers,
             ema=0.998,
-            optimizer=replace(ADAMW, warmup_epochs=1.0),
+            optimizer=replace(MUON, warmup_epochs=1.0),
             views=PatchAugmentation(
                 look_outliers=0.02, brightness=0.15, noise=0.02, blur=0.2, empty=0.06
             ),

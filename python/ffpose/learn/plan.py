@@ -18,7 +18,7 @@ from ffpose._internal.seeds import TRAINING, matching
 from ffpose.geometry import Camera
 from ffpose.models.base import find_device
 from ffpose.training import DataConfig, TrainConfig
-from ffpose.training.config import ADAMW, ObjectLossConfig, PatchAugmentation
+from ffpose.training.config import MUON, ObjectLossConfig, PatchAugmentation
 
 DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
 """A pinhole camera of 90 degrees."""
@@ -350,7 +350,7 @@ def training(
         ema=0.998,
         autocast="bfloat16",
         weights_dtype="float16",
-        optimizer=replace(ADAMW, warmup_epochs=0.5),
+        optimizer=replace(MUON, warmup_epochs=0.5),
         object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
         views=PatchAugmentation(empty=0.15, jpeg=0.1, monochrome=0.2, frames=0.4),
         seed=seed,

@@ -20,6 +20,7 @@ from ffpose.training.data import patch_spec
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import Processes
+from ffpose.training.run import build_optimizer
 
 VIEWS = 24
 """Rendered views, for each process."""
@@ -94,8 +95,7 @@ def _rate(
     """
     size = config.batch_size
     generator = torch.Generator().manual_seed(0)
-    parameters = [*model.parameters(), *loss.parameters()]
-    optimizer = torch.optim.AdamW(parameters, 1e-5)
+    optimizer = build_optimizer(model, loss, replace(config.optimizer, learning_rate=1e-5))
     model.train()
     preparing = stepping = 0.0
     for step in range(-WARM_UP, STEPS):
