@@ -90,6 +90,7 @@ class DemoConfig:
             batch_size=max(1, 32 // self.workers),
             processes=self.workers,
             ema=0.998,
+            autocast="auto",
             optimizer=replace(MUON, warmup_epochs=1.0),
             views=PatchAugmentation(
                 look_outliers=0.02, brightness=0.15, noise=0.02, blur=0.2, empty=0.06
