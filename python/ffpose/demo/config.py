@@ -24,8 +24,8 @@ class DemoConfig:
         attitude_range_deg: Roll, pitch and yaw lie within plus and minus these angles.
         seed: Seed of the images.
         workers: Number of processes that render, and that train together.
-        train: Use a network trained here from scratch, in less than six minutes on two cores after
-            three minutes of rendering.
+        train: Use a network trained here from scratch, in about six minutes on two cores after one
+            of rendering.
         views: Number of rendered training views of the spacecraft (`rendered_views` counts all).
         validation: Number of whole validation images, which select the best epoch.
         calibration: Number of images of each kind that calibrate the network.
