@@ -99,7 +99,13 @@ def test_a_run_leaves_its_files_and_nothing_else(image_set, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("workers", "epochs", "fields"), [(0, 3, {"ema": 0.9, "accumulate": 2}), (2, 2, {})]
+    ("workers", "epochs", "fields"),
+    [
+        (0, 3, {"ema": 0.9, "accumulate": 2}),
+        (2, 2, {}),
+        (0, 2, {"optimizer": OptimizerConfig(kind="muon", learning_rate=1e-3)}),
+    ],
+    ids=["adam", "workers", "muon"],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
     image_set, tmp_path, workers, epochs, fields
