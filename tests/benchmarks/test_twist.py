@@ -49,6 +49,14 @@ def test_a_twist_by_cells_changes_nothing_and_another_something(model):
     assert between["attitude"].min() > 2 * cells["attitude"].max()
 
 
+def test_a_twist_by_half_a_cell_exchanges_two_looks(model):
+    """Their mean stays, on any weights, where either look alone changes."""
+    image = torch.rand(1, 3, 96, 128, generator=torch.Generator().manual_seed(1))
+    point, half = torch.tensor([1.0, -2.0, 14.0]), torch.tensor([0.5, 3.5]) * CELL
+    assert twist.changes(model, image, point, half, looks=2)["attitude"].max() < 0.05
+    assert twist.changes(model, image, point, half)["attitude"].min() > 0.5
+
+
 def test_quantiles_are_printed(model, tmp_path, capsys):
     weights = tmp_path / "own.safetensors"
     model.save_pretrained(weights)

@@ -29,6 +29,7 @@ QUINTIC = (3.4445, -4.7750, 2.0315)
 ITERATIONS = 5
 
 COLORS = 3
+"""Layers of so few input channels read pixels: their weights are stepped by AdamW."""
 
 
 class Muon(torch.optim.Optimizer):
