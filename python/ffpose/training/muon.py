@@ -46,7 +46,7 @@ class Muon(torch.optim.Optimizer):
         super().__init__(groups, {"lr": lr, "eps": eps, "weight_decay": 0.0, "matrix": False})
 
     @torch.no_grad()
-    def step(self, closure: None = None) -> None:  # type: ignore[override]
+    def step(self, closure: None = None) -> None:  # type: ignore[override]  # evaluates none
         """Take a step along the gradients; parameters without one stay."""
         for group in self.param_groups:
             step = self._step_matrices if group["matrix"] else self._step_others
