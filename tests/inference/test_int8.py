@@ -229,6 +229,40 @@ def test_a_matrix_on_the_left_stays_float(graph, images, tmp_path):
     assert kept["mixing"] == onnx.TensorProto.FLOAT
 
 
+def test_a_relu_leaves_all_steps_to_what_is_positive(graph, images, tmp_path):
+    """Between it and its convolution nothing is quantized, so ONNX Runtime makes one node."""
+    out = tmp_path / "int8.onnx"
+    int8.quantize_graph(graph, out, images)
+    model = onnx.load(out)
+    (convolution,) = (node for node in model.graph.node if node.op_type == "Conv")
+    (reader,) = (node for node in model.graph.node if convolution.output[0] in node.input)
+    values = {each.name: onnx.numpy_helper.to_array(each) for each in model.graph.initializer}
+    assert reader.op_type == "QuantizeLinear"
+    assert values[reader.input[2]] == 0  # so what is negative becomes 0
+    assert "Relu" not in {node.op_type for node in model.graph.node}
+
+
+def test_a_product_writes_float32_and_one_of_few_weights_stays_as_it_is(graph, images, tmp_path):
+    model = onnx.load(graph)
+    mixing = np.random.default_rng(2).normal(size=(SIZE[1], SIZE[1])).astype(np.float32)
+    few = np.ones((SIZE[1], 3), np.float32)
+    for name, value in (("mixing", mixing), ("few", few)):
+        model.graph.initializer.append(onnx.numpy_helper.from_array(value, name))
+    maps, bright, *others = model.graph.node
+    others[0].input[0] = "narrow"
+    del model.graph.node[:]
+    added = [
+        node("MatMul", ["bright", "mixing"], "mixed", ["backbone"]),
+        node("MatMul", ["mixed", "few"], "narrow", ["backbone"]),
+    ]
+    model.graph.node.extend([maps, bright, *added, *others])
+    rewrite(graph, model)
+    out = tmp_path / "int8.onnx"
+    assert int8.quantize_graph(graph, out, images).nodes == 2
+    narrow = next(node for node in onnx.load(out).graph.node if "few" in node.input)
+    assert list(narrow.input) == ["mixed", "few"]
+
+
 def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
     model = onnx.load(graph)
     for each in model.graph.node:

@@ -1,15 +1,17 @@
 """Static quantization of the costly operators of a graph to int8.
 
 Convolutions and products with constant matrices on the right, in the backbone and the branches,
-become int8: weights by channel, activations by the range that calibration images show. Spectral
-filters, normalizations, heads and the geometry of a second look stay float32; so do products with a
-matrix on the left, which ONNX Runtime before 1.32 cannot scale by channel. Written as pairs of
+become int8: weights by channel, activations by the range that calibration images show, after a ReLU
+that follows. Products write float32 where no other reads integers. Spectral filters,
+normalizations, heads and the geometry of a second look stay float32; so do products with a matrix
+on the left, which ONNX Runtime before 1.32 cannot scale by channel. Written as pairs of
 QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into integer operators.
 """
 
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +26,12 @@ from ffpose.onnx.metadata import Filter
 
 OPERATORS = ("Conv", "Gemm", "MatMul")
 """Operators that are quantized where their weight is constant."""
+
+RELU = "Relu"
+"""Operator that is fused with the convolution before it: all 8 bits are for what is positive."""
+
+LEAST_WEIGHTS = 128
+"""Size of a matrix or kernel from which integers pay for turning numbers into them."""
 
 PARTS = ("backbone", "object_backbone", "projection", "attention", "feed_forward")
 """Words of a module's path within which operators are quantized."""
@@ -52,13 +60,19 @@ def quantize(
     folded = out.with_name("folded.onnx")
     name = _fold(graph, folded, filter)
     model = onnx.load(str(folded))
-    weights = {tensor.name for tensor in model.graph.initializer}
+    weights = {tensor.name: tensor.dims for tensor in model.graph.initializer}
     nodes = [
-        node.name for node in model.graph.node if node.name in wanted and node.input[1] in weights
+        node.name
+        for node in model.graph.node
+        if node.name in wanted and math.prod(weights.get(node.input[1], (0,))) >= LEAST_WEIGHTS
     ]
     if not nodes:
         raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
     _separate_weights(model.graph, set(nodes))
+    outputs = {node.output[0] for node in model.graph.node if node.name in nodes}
+    fused = [
+        node.name for node in model.graph.node if node.op_type == RELU and node.input[0] in outputs
+    ]
     quantizer = require("onnxruntime.quantization.qdq_quantizer", "export").QDQQuantizer(
         model,
         per_channel=True,
@@ -66,10 +80,13 @@ def quantize(
         weight_qType=tools.QuantType.QInt8,
         activation_qType=tools.QuantType.QUInt8,
         tensors_range=_ranges(folded, out.with_name("observed.onnx"), filter, name, inputs),
-        nodes_to_quantize=nodes,
+        nodes_to_quantize=nodes + fused,
         nodes_to_exclude=[],
-        op_types_to_quantize=list(OPERATORS),
-        extra_options={"MatMulConstBOnly": True},
+        op_types_to_quantize=[*OPERATORS, RELU],
+        extra_options={
+            "MatMulConstBOnly": True,
+            "OpTypesToExcludeOutputQuantization": ["Gemm", "MatMul"],
+        },
     )
     quantizer.quantize_model()
     quantizer.model.save_model_to_file(str(out))
@@ -117,10 +134,10 @@ def _separate_weights(graph: Any, names: set[str]) -> None:
 def _ranges(
     graph: Path, observed: Path, filter: Filter, name: str, inputs: Iterable[NDArray[np.float32]]
 ) -> Any:
-    """Return the ranges of the tensors about `OPERATORS`, over all calibration batches."""
+    """Return the ranges of the tensors about what is quantized, over all calibration batches."""
     runtime = require("onnxruntime", "export")
     calibrate = require("onnxruntime.quantization.calibrate", "export")
-    calibrator = calibrate.MinMaxCalibrater(graph, list(OPERATORS), str(observed))
+    calibrator = calibrate.MinMaxCalibrater(graph, [*OPERATORS, RELU], str(observed))
     calibrator.augment_graph()
     options = session_options(runtime, filter)  # the calibrator's own know no library
     options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
