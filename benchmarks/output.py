@@ -5,17 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
-
-from ffpose._internal.figures import save_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WIDTH = 132
 
@@ -23,11 +17,6 @@ WIDTH = 132
 def print_document(document: Mapping[str, Any]) -> None:
     """Print a JSON document on standard output."""
     print(json.dumps(document, indent=2))
-
-
-def save_plot(figure: Figure, path: Path) -> None:
-    """Write a plot as a PNG, whatever the suffix."""
-    save_figure(figure, path, dpi=130, format="png")
 
 
 def make_progress() -> Progress:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +21,7 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
 
-from ffpose._internal.seeds import CHOICES, refuse_final
+from ffpose._internal.seeds import CHOICES
 from ffpose.arrays import rotation_error
 from ffpose.errors import expect
 from ffpose.evaluation.attitude import rotation_parts
@@ -95,53 +94,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--looks", type=int, default=1, help="looks whose mean is compared")
 
 
-def run(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure as the options say, as `measure`."""
-    return measure(options.network, options.scene, options.count, options.looks)
-
-
-def measure(
-    network: str, scene: str, count: int, looks: int = 1, seed: int = SEED
-) -> dict[str, Any]:
+def run(options: argparse.Namespace) -> None:
     """Measure a network on rendered images, and print quantiles of the changes, degrees.
 
-    Args:
-        network: Weights of a `PolarPose`, a file or a name.
-        scene: Of the images.
-        count: Number of images.
-        looks: Number of looks whose mean is an attitude.
-        seed: Of the images.
-
-    Returns:
-        By part of the attitude, the quantiles.
-
     Raises:
-        ValueError: The network has no polar second look, there are no looks, or the seed is one of
-            final images.
+        ValueError: The network has no polar second look, or there are no looks.
     """
-    refuse_final(seed)
-    expect(looks >= 1, "looks", "1 or more", looks)
-    model, preprocessing = load_network(Path(network)), read_metadata(network).preprocessing
+    expect(options.looks >= 1, "looks", "1 or more", options.looks)
+    model = load_network(Path(options.network))
+    preprocessing = read_metadata(options.network).preprocessing
     if not isinstance(model, PolarPose):
         raise ValueError(f"network: expected a PolarPose, got {type(model).__name__}")
     height, width = preprocessing.size
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(SEED)
     found: dict[str, list[NDArray[np.float64]]] = {}
-    for number in range(count):
-        shown = render(scene, seed, number, size=(width, height))
+    for number in range(options.count):
+        shown = render(options.scene, SEED, number, size=(width, height))
         image = torch.from_numpy(preprocessing.array(Image.fromarray(shown.image)))[None]
         point = torch.tensor(shown.pose.t.tolist())
         twists = torch.rand(TWISTS, generator=generator) * 2 * math.pi
-        for part, values in changes(model, image, point, twists, looks).items():
+        for part, values in changes(model, image, point, twists, options.looks).items():
             found.setdefault(part, []).append(values)
-    summary = {
-        part: {
-            name: float(np.quantile(np.concatenate(values), share))
-            for name, share in QUANTILES.items()
-        }
-        for part, values in found.items()
-    }
-    for part, figures in summary.items():
-        words = ", ".join(f"{name} {value:.2f}°" for name, value in figures.items())
-        print(f"{part}: {words}")
-    return summary
+    for part, each in found.items():
+        changed = np.concatenate(each)
+        words = (f"{name} {np.quantile(changed, share):.2f}°" for name, share in QUANTILES.items())
+        print(f"{part}: {', '.join(words)}")

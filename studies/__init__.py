@@ -12,20 +12,9 @@ from studies.networks import NETWORKS
 from studies.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
 from studies.study import Published, Study, Variant
 
-__all__ = ["STUDIES", "Published", "Study", "Variant", "get_study"]
+__all__ = ["STUDIES", "Published", "Study", "Variant"]
 
 STUDIES: dict[str, Study] = {
     study.name: study for study in (MIXERS, NETWORKS, TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5)
 }
 """The studies that there are, by name."""
-
-
-def get_study(name: str) -> Study:
-    """Return a study of `STUDIES`.
-
-    Raises:
-        ValueError: There is none of that name; the message lists the names.
-    """
-    if name not in STUDIES:
-        raise ValueError(f"study: expected one of {', '.join(STUDIES)}, got {name!r}")
-    return STUDIES[name]

@@ -51,7 +51,7 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error(explain(error))
     try:
         outcome = ablate(
-            studies.get_study(options.study),
+            studies.STUDIES[options.study],
             options.out,
             seeds=options.seeds,
             epochs=options.epochs,

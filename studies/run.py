@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import json
 import platform
-import statistics
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
+from timeit import Timer
 from typing import Any
 
 import torch
@@ -24,9 +23,11 @@ import torch
 import ffpose
 from ffpose._internal.files import atomic_write, remove_leftovers
 from ffpose._internal.seeds import CHOICES
+from ffpose.bench.timing import take_turns
 from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import render_images
+from ffpose.errors import expect
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, find_config, load_network
@@ -44,8 +45,6 @@ TEST_SEED = CHOICES.start + 100
 
 ENDLESS = 10_000
 """Epochs of a run that ends by time."""
-
-TIMED_CALLS = 15
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,8 @@ def ablate(
         ffpose.DataError: An image or a label cannot be used.
         ffpose.training.engine.NonFiniteLossError: A training failed; the other runs can go on.
     """
-    _expect_count("seeds", seeds)
-    _expect_count("test_images", test_images)
+    expect(seeds >= 1, "seeds", "at least 1", seeds)
+    expect(test_images >= 1, "test_images", "at least 1", test_images)
     study = replace(study, base=changed(study.base, changes or {}))
     runs = [
         Run(variant, config, cpu_minutes, None if sets else test_images)
@@ -163,21 +162,13 @@ def ablate(
             _test_set(run)
             build_run(run.config)
             continue
-        _say(f"{number} of {len(waiting)}: {run.folder.name}, {run.variant.about}", quiet=quiet)
+        if not quiet:
+            text = f"{number} of {len(waiting)}: {run.folder.name}, {run.variant.about}"
+            print(text, file=sys.stderr, flush=True)
         _finish(study, run, quiet=quiet)
         write_tables(study, out)
         done.append(run.folder.name)
     return Outcome(write_tables(study, out), tuple(done))
-
-
-def _say(text: str, *, quiet: bool) -> None:
-    if not quiet:
-        print(text, file=sys.stderr, flush=True)
-
-
-def _expect_count(name: str, value: int) -> None:
-    if value < 1:
-        raise ValueError(f"{name}: expected at least 1, got {value}")
 
 
 def _training(
@@ -279,10 +270,8 @@ def _test_set(run: Run) -> tuple[str, Path, Part]:
         return data.kind, data.root, "test"
     scene = find_scene(data.scene.split("+")[0], data.attitude_range_deg)
     preprocessing = Preprocessing(network(run.config).image_size, data.mode)
-    indices = range(run.test_images)
-    workers = data.workers
     folder = render_images(
-        data.root, "test", scene, TEST_SEED, indices, preprocessing, workers=workers
+        data.root, "test", scene, TEST_SEED, run.test_images, preprocessing, workers=data.workers
     )
     return "urso", folder, "all"
 
@@ -300,11 +289,6 @@ def latency_ms(model: BaseNetwork) -> float:
     """Return the median time of one image's pose, in milliseconds, on torch's threads."""
     model.eval()
     image = torch.zeros(1, 3, *model.config.image_size)
-    times = []
     with torch.inference_mode():
-        model(image)
-        for _ in range(TIMED_CALLS):
-            began = time.perf_counter()
-            model(image)
-            times.append(time.perf_counter() - began)
-    return 1000 * statistics.median(times)
+        found = take_turns({"pose": Timer(lambda: model(image))}, 0.5)
+    return 1000 * found["pose"].p50

@@ -32,9 +32,9 @@ from benchmarks.filter.results import (
     overheads,
     traffic,
 )
-from benchmarks.output import in_threads, make_console, make_table, print_notes, save_plot
+from benchmarks.output import in_threads, make_console, make_table, print_notes
 from benchmarks.timing import Timing
-from ffpose._internal.figures import new_figure, style_axes
+from ffpose._internal.figures import new_figure, save_figure, style_axes
 from ffpose.bench.filter import OURS
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def draw(comparisons: Sequence[Comparison], about: str, path: Path) -> None:
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
     figure.suptitle(f"times as fast as torch.fft, one thread, float32\n{about}", fontsize=10)
-    save_plot(figure, path)
+    save_figure(figure, path, dpi=130, format="png")
 
 
 def _draw_panel(axes: Axes, comparisons: Sequence[Comparison], labels: Sequence[str]) -> None:

@@ -196,8 +196,8 @@ def _measure_stages(
     image = folder / "image.png"
     write_image(image)
     pipelines = {
-        TORCH: Pipeline.of_weights(measured.weights),
-        _runtime(plan): Pipeline.of_graph(graphs["custom"].path, threads),
+        TORCH: Pipeline.of(measured.weights),
+        _runtime(plan): Pipeline.of(graphs["custom"].path, threads),
     }
     return measure_stages(pipelines, image, plan.seconds)
 

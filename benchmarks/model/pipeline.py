@@ -47,15 +47,9 @@ class Pipeline:
     run: Callable[[NDArray[np.float32]], Mapping[str, NDArray[Any]]]
 
     @classmethod
-    def of_graph(cls, graph: Path, threads: int) -> Pipeline:
-        """Return that of a graph in ONNX Runtime."""
-        estimator = load(graph, threads=threads)
-        return cls(estimator.preprocess, estimator.run)
-
-    @classmethod
-    def of_weights(cls, weights: Path) -> Pipeline:
-        """Return that of weights in torch, with as many threads as torch has."""
-        estimator = load(weights, device="cpu")
+    def of(cls, network: Path, threads: int | None = None) -> Pipeline:
+        """Return that of a graph, or of weights with as many threads as torch has by default."""
+        estimator = load(network, threads=threads, device="cpu")
         return cls(estimator.preprocess, estimator.run)
 
     def times(self, path: Path) -> tuple[float, ...]:

@@ -78,23 +78,12 @@ def make_plan(
         names += found
         notes += remarks
     if quick:
-        plan = DeploymentPlan(names, (1,), (1,), 0.5, 1, [*notes, "quick: short timings"])
-    else:
-        if cores() == 1 and threads is None:
-            notes.append("one core: two threads are not measured")
-        plan = DeploymentPlan(names, BATCHES, _threads(), 10.0, 5, notes)
-    return DeploymentPlan(
-        plan.names,
-        batches or plan.batches,
-        threads or plan.threads,
-        plan.seconds,
-        plan.starts,
-        plan.notes,
-    )
-
-
-def _threads() -> tuple[int, ...]:
-    return tuple(sorted({1, min(2, cores()), cores()}))
+        notes.append("quick: short timings")
+        return DeploymentPlan(names, batches or (1,), threads or (1,), 0.5, 1, notes)
+    if cores() == 1 and threads is None:
+        notes.append("one core: two threads are not measured")
+    counts = threads or tuple(sorted({1, min(2, cores()), cores()}))
+    return DeploymentPlan(names, batches or BATCHES, counts, 10.0, 5, notes)
 
 
 def _in_torch(measured: Subject) -> tuple[list[str], list[str]]:

@@ -12,8 +12,8 @@ from rich.console import Console
 from benchmarks.machine import environment
 from benchmarks.model.contenders import WITHOUT
 from benchmarks.model.pipeline import STAGES, TOTAL
-from benchmarks.output import in_threads, make_console, make_table, print_notes, save_plot
-from ffpose._internal.figures import new_figure, style_axes
+from benchmarks.output import in_threads, make_console, make_table, print_notes
+from ffpose._internal.figures import new_figure, save_figure, style_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -173,7 +173,7 @@ def draw(results: DeploymentResults, path: Path) -> None:
     panels[0].set_ylim(len(names) - 0.4, -0.6)
     about = environment()["processor"]
     figure.suptitle(f"{results.network}: ms, p50 (bar) to p99 (line)\n{about}", fontsize=10)
-    save_plot(figure, path)
+    save_figure(figure, path, dpi=130, format="png")
 
 
 def _draw_panel(axes: Axes, case: CaseResult) -> None:

@@ -10,8 +10,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from benchmarks.filter.cases import make_plan
 from benchmarks.filter.report import make_document
 from benchmarks.filter.run import measure
 from benchmarks.machine import environment
+from ffpose._internal import machine
 
 CODE = "int mkl_serv_intel_cpu_true(void) { return 1; }"
 
@@ -39,24 +38,11 @@ def vector_code() -> dict[str, Any] | None:
         library = Path(folder, "mkl.so")
         command = [compiler, "-shared", "-fPIC", "-xc", "-", "-o", str(library)]
         subprocess.run(command, input=CODE, text=True, check=True)
-        with _preloaded(library):
+        before = os.environ.get("LD_PRELOAD")
+        with machine.environment(LD_PRELOAD=f"{library}:{before}" if before else str(library)):
             openings, comparisons = measure(plan)
     results = make_document(openings, comparisons, ())["results"]
     return {
         "mkl_code": openings[0].environment["mkl_code"],
         "results": [{name: each[name] for name in ("case", "ratio")} for each in results],
     }
-
-
-@contextmanager
-def _preloaded(library: Path) -> Iterator[None]:
-    """Let processes that start within the block load a library first."""
-    before = os.environ.get("LD_PRELOAD")
-    os.environ["LD_PRELOAD"] = f"{library}:{before}" if before else str(library)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["LD_PRELOAD"]
-        else:
-            os.environ["LD_PRELOAD"] = before

@@ -8,7 +8,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.datasets import inspection, open_dataset
-from ffpose.datasets.inspection import contact_sheet, inspect_dataset, inspect_folder
+from ffpose.datasets.inspection import contact_sheet, inspect_folder
 from ffpose.errors import DataError
 from ffpose.imaging.preprocessing import Preprocessing
 from urso_sets import LABELS, POSES, SPLITS, table, write_set
@@ -20,10 +20,6 @@ def unwritten(monkeypatch):
     monkeypatch.setattr(inspection, "save_figure", lambda figure, path, **options: None)
 
 
-def read(root, splits=tuple(SPLITS)):
-    return {split: open_dataset("urso", root, split, Preprocessing()) for split in splits}
-
-
 def relabel(root, split, **labels):
     """Change labels of one split, and take away the table that would not agree."""
     (root / "gt.csv").unlink(missing_ok=True)
@@ -31,10 +27,20 @@ def relabel(root, split, **labels):
     (root / f"{split}_poses_gt.csv").write_text(table(SPLITS[split], rows))
 
 
+def write_csv_set(root):
+    """Write two images and their camera, for splits to name."""
+    root.mkdir()
+    camera = {"width": 64, "height": 48, "fx": 32, "fy": 32, "cx": 32, "cy": 24}
+    (root / "camera.json").write_text(json.dumps(camera))
+    for name in ("a.png", "b.png"):
+        Image.new("RGB", (64, 48)).save(root / name)
+    return root
+
+
 @pytest.mark.slow
 def test_the_files_are_there_and_open(tmp_path):
     out = tmp_path / "report" / "inspect"
-    summary = inspect_dataset(read(write_set(tmp_path / "set")), out)
+    summary = inspect_folder("urso", write_set(tmp_path / "set"), out)
     assert json.loads((out / "summary.json").read_text()) == summary
     assert {path.name for path in out.iterdir()} == {*summary["files"], "summary.json"}
     for name in summary["files"]:
@@ -45,7 +51,7 @@ def test_the_files_are_there_and_open(tmp_path):
 
 @pytest.mark.usefixtures("unwritten")
 def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
-    summary = inspect_dataset(read(write_set(tmp_path / "set")), tmp_path / "out")
+    summary = inspect_folder("urso", write_set(tmp_path / "set"), tmp_path / "out")
     assert {name: s["images"] for name, s in summary["splits"].items()} == {
         "train": 2,
         "val": 1,
@@ -76,7 +82,7 @@ def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
 def test_a_target_behind_the_camera_or_outside_the_image_is_found(tmp_path):
     root = write_set(tmp_path / "set")
     relabel(root, "train", **{"0_rgb": {"z": -10}, "2_rgb": {"x": 30}})
-    summary = inspect_dataset(read(root, ["train"]), tmp_path / "out")
+    summary = inspect_folder("urso", root, tmp_path / "out")
     train = summary["splits"]["train"]
     assert train["failed"]["in_front_of_camera"] == ["0_rgb.png"]
     assert train["origin_in_image"] == 0
@@ -89,11 +95,11 @@ def test_quaternions_are_checked_as_the_file_has_them(tmp_path):
     long = {"q1": 0, "q2": 0.8, "q3": 0, "q4": 0.6003}
     rounded = {"q1": 0.8, "q2": 0, "q3": 0, "q4": 0.600003}
     relabel(root, "train", **{"0_rgb": long, "2_rgb": rounded})
-    failed = inspect_dataset(read(root, ["train"]), tmp_path / "out")["splits"]["train"]["failed"]
+    failed = inspect_folder("urso", root, tmp_path / "out")["splits"]["train"]["failed"]
     assert failed["unit_quaternion"] == ["0_rgb.png"]
     assert failed["scalar_not_negative"] == []
     relabel(root, "train", **{"2_rgb": {"q3": -0.8, "q4": -0.6}})
-    failed = inspect_dataset(read(root, ["train"]), tmp_path / "out")["splits"]["train"]["failed"]
+    failed = inspect_folder("urso", root, tmp_path / "out")["splits"]["train"]["failed"]
     assert failed["unit_quaternion"] == []
     assert sorted(failed["scalar_not_negative"]) == ["0_rgb.png", "2_rgb.png"]
 
@@ -103,7 +109,7 @@ def test_an_image_in_two_splits_is_found(tmp_path):
     root = write_set(tmp_path / "set")
     for kind in ("images", "poses_gt"):
         (root / f"val_{kind}.csv").write_bytes((root / f"train_{kind}.csv").read_bytes())
-    summary = inspect_dataset(read(root), tmp_path / "out")
+    summary = inspect_folder("urso", root, tmp_path / "out")
     assert summary["shared_images"] == ["0_rgb.png", "2_rgb.png"]
 
 
@@ -114,7 +120,7 @@ def test_an_image_of_another_size_stops_it(tmp_path):
         json.dumps({"width": 64, "height": 48, "fx": 32, "fy": 32, "cx": 32, "cy": 24})
     )
     with pytest.raises(DataError, match=r"val_images\.csv:1: .*got 64x47"):
-        inspect_dataset(read(root), tmp_path / "out")
+        inspect_folder("urso", root, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -125,12 +131,12 @@ def test_a_truncated_image_stops_it(tmp_path):
     Image.fromarray(noise).save(path)
     path.write_bytes(path.read_bytes()[:-4000])
     with pytest.raises(DataError, match=r"val_images\.csv:1: .*3_rgb\.png: .*truncated"):
-        inspect_dataset(read(root), tmp_path / "out")
+        inspect_folder("urso", root, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
-    dataset = read(write_set(tmp_path / "set"))["test"]
+    dataset = open_dataset("urso", write_set(tmp_path / "set"), "test", Preprocessing())
     pixels = np.asarray(contact_sheet(dataset, 4)).astype(int)
     # 1_rgb.png: u = 32 + 32 * -3 / 12 = 24, v = 24 + 32.02 * 2 / 12, at five times the size,
     # and a margin of six pixels; x and z are turned about y, which points down from there.
@@ -138,27 +144,19 @@ def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
     assert (column[..., 1] - column[..., 0] > 100).any(axis=1).mean() > 0.9
 
 
-def test_no_splits_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="expected at least 1 split, got 0"):
-        inspect_dataset(read(write_set(tmp_path / "set"), []), tmp_path / "out")
-
-
 @pytest.mark.usefixtures("unwritten")
 def test_a_set_may_have_more_splits_than_there_are_colors(tmp_path):
-    test = read(write_set(tmp_path / "set"))["test"]
-    flights = {f"flight {number}": test for number in range(9)}
-    summary = inspect_dataset(flights, tmp_path / "out")
-    assert list(summary["splits"]) == list(flights)
+    root = write_csv_set(tmp_path / "set")
+    flights = [f"flight {number}" for number in range(9)]
+    for name in flights:
+        (root / f"{name}.csv").write_text("image,tx,ty,tz,qw,qx,qy,qz\na.png,0,0,9,1,0,0,0\n")
+    summary = inspect_folder("csv", root, tmp_path / "out")
+    assert list(summary["splits"]) == flights
 
 
 @pytest.mark.usefixtures("unwritten")
 def test_splits_without_labels_are_counted_and_decoded(tmp_path):
-    root = tmp_path / "set"
-    root.mkdir()
-    camera = {"width": 64, "height": 48, "fx": 32, "fy": 32, "cx": 32, "cy": 24}
-    (root / "camera.json").write_text(json.dumps(camera))
-    for name in ("a.png", "b.png"):
-        Image.new("RGB", (64, 48)).save(root / name)
+    root = write_csv_set(tmp_path / "set")
     (root / "train.csv").write_text("image,tx,ty,tz,qw,qx,qy,qz\na.png,0,0,9,1,0,0,0\n")
     (root / "flight.csv").write_text("image\na.png\nb.png\n")
     summary = inspect_folder("csv", root, tmp_path / "out")

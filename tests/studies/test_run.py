@@ -11,7 +11,7 @@ import torch
 from cambridge_sets import write_landmarks
 from ffpose.training import PAPER_STAGES, Stage
 from ffpose.training.engine import train
-from studies import Variant, get_study, run
+from studies import STUDIES, Variant, run
 from studies.__main__ import main
 from studies.table import read_results
 from tiny_study import tiny_study, write_sets
@@ -136,14 +136,14 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(tmp_path, sets
 
 def test_landmarks_cannot_be_rendered(tmp_path):
     with pytest.raises(ValueError, match="sets: expected the folder that holds KingsCollege"):
-        run.ablate(get_study("table5"), tmp_path / "study", quiet=True)
+        run.ablate(STUDIES["table5"], tmp_path / "study", quiet=True)
 
 
 def test_table_5_is_of_landmarks_on_disk(tmp_path):
     write_landmarks(tmp_path / "sets/ShopFacade")
     fields = {"image_size": [64, 64], "backbone": "compact_resnet_narrow", "reduction": 16}
     outcome = run.ablate(
-        get_study("table5"),
+        STUDIES["table5"],
         tmp_path / "study",
         seeds=1,
         epochs=3,
@@ -188,7 +188,7 @@ SMALL = {
 
 @pytest.mark.slow
 def test_one_look_and_two_train_and_are_tested_on_the_same_scenes(tmp_path):
-    mixers = get_study("mixers")
+    mixers = STUDIES["mixers"]
     frame = {"model_fields": {"image_size": [96, 128], "dim": 16, "head_hidden": 16}}
     once = replace(mixers, base=replace(mixers.base, model="tiny", model_fields={}))
     once = replace(once, variants=(Variant("frame", ""),))

@@ -133,10 +133,10 @@ def test_what_has_not_run_is_named(tmp_path):
 
 
 def test_the_papers_numbers_stand_beside(tmp_path):
-    from studies import get_study
+    from studies import STUDIES
 
     write_result(tmp_path, "n3", 0, 6.0, [(1.0, 1.0)])
-    text = write_tables(get_study("table2"), tmp_path).read_text()
+    text = write_tables(STUDIES["table2"], tmp_path).read_text()
     assert cells(text, "n3")[-1] == ["0.60 m", "6.00°", "1.0125 m", "6.5437°", "2.00", "61.61"]
 
 

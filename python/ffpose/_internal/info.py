@@ -53,24 +53,11 @@ def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
         requirements: Requirements in the package's metadata, as ``torch>=2.10; extra == 'torch'``.
     """
     found: dict[str, dict[str, str | None]] = {}
-    for line in requirements:
-        package, extra = package_of(line)
-        if extra is not None and package != "ffpose":
+    for match in filter(None, map(_REQUIREMENT.match, requirements)):
+        package, extra = match.groups()
+        if package != "ffpose":
             found.setdefault(extra, {})[package] = package_version(package)
     return found
-
-
-def package_of(requirement: str) -> tuple[str, str | None]:
-    """Return the package of a requirement, and the extra that it belongs to.
-
-    Examples:
-        >>> package_of("torch>=2.10; extra == 'torch'")
-        ('torch', 'torch')
-        >>> package_of("numpy>=1.26")
-        ('numpy>=1.26', None)
-    """
-    match = _REQUIREMENT.match(requirement)
-    return (match[1], match[2]) if match else (requirement, None)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -17,13 +17,7 @@ from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
 from ffpose.geometry import Camera, DistortedCamera, FloatArray, Pose, Target, camera_pose
 from ffpose.imaging.preprocessing import Preprocessing, planes
-from ffpose.imaging.transforms import (
-    Augmentation,
-    crop_turn,
-    random_window,
-    standardize,
-    turn_camera,
-)
+from ffpose.imaging.transforms import Augmentation, crop_turn, random_window, turn_camera
 
 Part = str
 """Part of a set: the name of a split, or ``"all"`` for all of its splits joined."""
@@ -195,7 +189,7 @@ class PoseDataset(Dataset[Sample]):
             view if self.augmentation is None else self.augmentation(*view, camera)
         )
         intrinsics = torch.tensor((camera.fx, camera.fy, camera.cx, camera.cy), dtype=torch.float64)
-        image = standardize(image, self.preprocessing)
+        preprocessing.standardize(image)
         return Sample(image, translation, orientation, index, intrinsics)
 
     def load_image(self, index: int) -> Image.Image:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import cycle, islice
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +29,6 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
-from ffpose.errors import expect
 from ffpose.geometry import FloatArray
 from ffpose.imaging.images import decode_all
 from ffpose.imaging.overlay import draw_axes, tiled
@@ -76,44 +74,16 @@ _ORIENTATION = (
 def inspect_folder(
     kind: str, root: str | Path, out: str | Path, decoding: Decoding = AS_ON_DISK
 ) -> dict[str, Any]:
-    """Check all splits of a dataset on disk, as `inspect_dataset`.
+    """Check all splits of a dataset on disk, and write a summary, histograms and contact sheets.
 
-    Raises:
-        ValueError: ``kind`` is unknown, or the set has no labels at all.
-        FileNotFoundError: The folder, or a file that lists a split, does not exist.
-        DataError: A file is invalid; nothing is written.
-    """
-    records = {
-        split: read_records(kind, root, split, decoding) for split in list_splits(kind, root)
-    }
-    labeled = {
-        split: PoseDataset(each, Preprocessing(), target=find_target(kind))
-        for split, each in records.items()
-        if each[0].pose is not None
-    }
-    others = {split: each for split, each in records.items() if split not in labeled}
-    if not labeled:
-        raise ValueError(
-            f"{root}: expected labels in a split at least, as they are what is checked and drawn,"
-            f" got none in {', '.join(others)}"
-        )
-    return inspect_dataset(labeled, out, unlabeled=others)
-
-
-def inspect_dataset(
-    datasets: Mapping[str, PoseDataset],
-    out: str | Path,
-    unlabeled: Mapping[str, Sequence[Record]] = MappingProxyType({}),
-) -> dict[str, Any]:
-    """Check a dataset, and write a summary, histograms and contact sheets.
-
-    Writes ``summary.json``, ``translation.png``, ``orientation.png`` and, for each split,
+    Writes ``summary.json``, ``translation.png``, ``orientation.png`` and, for each labeled split,
     ``samples_{split}.png``. Every image is decoded as in training, on all cores.
 
     Args:
-        datasets: The labeled splits by name.
+        kind: Kind of the dataset (`ffpose.datasets`).
+        root: Its folder.
         out: The folder to write; created if missing.
-        unlabeled: The splits without labels by name, whose images are counted and decoded.
+        decoding: How images become RGB.
 
     Returns:
         The contents of ``summary.json``. ``splits`` holds for each labeled split ``images``,
@@ -124,20 +94,33 @@ def inspect_dataset(
         (files in more than one split) and ``files``.
 
     Raises:
-        ValueError: There are no splits.
-        DataError: An image is damaged, or its size differs from the camera's; nothing is written.
+        ValueError: ``kind`` is unknown, or the set has no labels at all.
+        FileNotFoundError: The folder, or a file that lists a split, does not exist.
+        DataError: A file is invalid, or an image is damaged or of another size than its camera's;
+            nothing is written.
     """
-    expect(len(datasets) >= 1, "datasets", "at least 1 split", len(datasets))
-    splits = {name: dataset.records for name, dataset in datasets.items()} | {**unlabeled}
-    for records in splits.values():
-        deque(decode_all(Record.decode, records), maxlen=0)  # a header reveals no truncated file
+    records = {
+        split: read_records(kind, root, split, decoding) for split in list_splits(kind, root)
+    }
+    datasets = {
+        split: PoseDataset(each, Preprocessing(), target=find_target(kind))
+        for split, each in records.items()
+        if each[0].pose is not None
+    }
+    if not datasets:
+        raise ValueError(
+            f"{root}: expected labels in a split at least, as they are what is checked and drawn,"
+            f" got none in {', '.join(records)}"
+        )
+    for each in records.values():
+        deque(decode_all(Record.decode, each), maxlen=0)  # a header reveals no truncated file
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     sheets = {f"samples_{split}.png": dataset for split, dataset in datasets.items()}
     summary = {
         "splits": {split: _summarize(dataset) for split, dataset in datasets.items()},
-        "unlabeled": {split: len(records) for split, records in unlabeled.items()},
-        "shared_images": _shared_images(splits.values()),
+        "unlabeled": {split: len(each) for split, each in records.items() if split not in datasets},
+        "shared_images": _shared_images(records.values()),
         "files": ["translation.png", "orientation.png", *sheets],
     }
     translations = {split: _translation(dataset.poses) for split, dataset in datasets.items()}

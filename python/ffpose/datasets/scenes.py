@@ -87,9 +87,7 @@ def open_frames(
     root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
 ) -> PoseDataset:
     """Return the scenes 0 ... ``count - 1`` as whole images of the network's input size."""
-    folder = render_images(
-        root, "frames", scene, seed, range(count), preprocessing, workers=workers
-    )
+    folder = render_images(root, "frames", scene, seed, count, preprocessing, workers=workers)
     return open_dataset("urso", folder, "all", preprocessing)
 
 
@@ -98,31 +96,22 @@ def render_images(
     name: str,
     scene: Scene,
     seed: int,
-    indices: range,
+    count: int,
     preprocessing: Preprocessing,
     *,
     workers: int,
 ) -> Path:
-    """Render whole images of a network's input size where they are not there yet.
+    """Render the scenes 0 ... ``count - 1`` as images of a network's input size, unless there.
 
     Returns:
-        The folder within ``root``, a set in URSO's layout. Its name begins with ``name``; images of
-        other indices have another.
+        The folder within ``root``, a set in URSO's layout, whose name begins with ``name``.
     """
     from ffpose.render.dataset.writer import write_dataset
 
     height, width = preprocessing.frame_size(scene.camera.width, scene.camera.height)
-    described = {"scene": scene.parameters(), "seed": seed, "size": (width, height)}
-    folder = root / f"{name}-{digest({**described, 'count': len(indices)})}"
-    write_dataset(
-        scene,
-        folder,
-        len(indices),
-        seed,
-        start=indices.start,
-        size=(width, height),
-        workers=max(1, workers),
-    )
+    described = {"scene": scene.parameters(), "seed": seed, "size": (width, height), "count": count}
+    folder = root / f"{name}-{digest(described)}"
+    write_dataset(scene, folder, count, seed, size=(width, height), workers=max(1, workers))
     return folder
 
 

@@ -119,10 +119,14 @@ class Preprocessing:
         expect(image.mode == "RGB", "image", "mode RGB", image.mode)
         frame = self.frame(image)
         standardized = self.crop(frame, self.center_window(frame.shape[:2]))
-        for plane, mean, std in zip(standardized, self.mean, self.std, strict=True):
+        self.standardize(standardized)
+        return standardized
+
+    def standardize(self, image: NDArray[np.float32] | Tensor) -> None:
+        """Make ``(image - mean) / std`` of an image ``(3, h, w)`` in [0, 1], in place."""
+        for plane, mean, std in zip(image, self.mean, self.std, strict=True):
             plane -= np.float32(mean)
             plane /= np.float32(std)
-        return standardized
 
     def __call__(self, image: Image.Image) -> Tensor:
         """Return the network's input as a tensor, float32 ``(3, h, w)``; raises as `array`."""

@@ -39,13 +39,6 @@ def random_window(preprocessing: Preprocessing, frame_size: tuple[int, int]) -> 
     return Window(top, left)
 
 
-def standardize(image: Tensor, preprocessing: Preprocessing) -> Tensor:
-    """Return ``(image - mean) / std`` of an image ``(3, h, w)`` in [0, 1]."""
-    mean, std = list(preprocessing.mean), list(preprocessing.std)
-    standardized: Tensor = v2.functional.normalize(image, mean, std)
-    return standardized
-
-
 def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
     """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, the scene's rotation in a rotating camera's frame.
 
