@@ -45,6 +45,15 @@ def test_motions_stay_in_the_scenes_ranges_and_in_view(motion):
         assert visible_share(points, SCENE.camera) >= SCENE.min_visible
 
 
+def test_a_small_spacecraft_may_be_as_near_as_in_images():
+    """A fortieth of a Soyuz, whole in front of the camera but nearer than half a meter."""
+    craft = SCENE.build().scaled(1 / 40)
+    near = replace(SCENE, craft=craft, distance_m=(0.3, 0.45), lateral_m=0.05)
+    motion = sample_motion("tumble", near, craft, np.arange(3) / 2, np.random.default_rng(0))
+    depths = rotations(motion.q[0]).apply(craft.outline)[:, 2] + motion.t[0, 2]
+    assert 0.03 < depths.min() < 0.5
+
+
 def test_velocities_are_the_derivatives_of_the_poses(motion):
     np.testing.assert_allclose(np.diff(motion.t, axis=0) * 2, motion.v[1:], atol=1e-9)
     turned = (rotations(motion.q[:-1]).inv() * rotations(motion.q[1:])).as_rotvec() * 2

@@ -21,10 +21,10 @@ from ffpose.render.sampler import (
     EARTH_RADIUS_M,
     Surroundings,
     direction,
+    is_in_frame,
     meets_earth,
     sample_surroundings,
     unit_vector,
-    visible_share,
 )
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.craft import Craft
@@ -158,12 +158,10 @@ def _in_view(t: Floats, q: Floats, scene: Scene, craft: Craft) -> bool:
     angles = np.abs(quaternion_to_euler(q))
     if (angles > np.array(scene.attitude_range_deg) + 1e-9).any():
         return False
-    for each, turn in zip(t, q, strict=True):
-        points = craft.outline @ rotation_matrix(turn).T + each
-        share = visible_share(points, scene.camera) if points[:, 2].min() >= 0.5 else 0.0
-        if not scene.min_visible <= share <= scene.max_visible:
-            return False
-    return True
+    return all(
+        is_in_frame(craft.outline @ rotation_matrix(turn).T + each, scene)
+        for each, turn in zip(t, q, strict=True)
+    )
 
 
 def inertia(craft: Craft) -> Floats:

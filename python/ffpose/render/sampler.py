@@ -135,10 +135,16 @@ def visible_share(points: Floats, camera: Camera) -> float:
     return float(inside.mean())
 
 
-def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
-    if np.hypot(pose.t[0], pose.t[1]) > scene.lateral_m:
-        return False
-    points = craft.outline @ pose.rotation.T + pose.t
+def is_in_frame(points: Floats, scene: Scene) -> bool:
+    """Return whether as many of an outline's points (N, 3) as the set wants lie in the frame.
+
+    All of them have to keep their distance from the camera (`LEAST_DEPTH_M`).
+    """
     if points[:, 2].min() < min(LEAST_DEPTH_M, 0.1 * scene.distance_m[0]):
         return False
     return scene.min_visible <= visible_share(points, scene.camera) <= scene.max_visible
+
+
+def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
+    across = np.hypot(pose.t[0], pose.t[1])
+    return across <= scene.lateral_m and is_in_frame(pose.transform(craft.outline), scene)
