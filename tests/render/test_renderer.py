@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from beacons import beacon_scene
+from earth import Earth
 from ffpose.render import (
     SCENES,
     Randomization,
@@ -17,7 +18,6 @@ from ffpose.render import (
 )
 from ffpose.render.shading.rays import find_window
 from ffpose.render.shading.sensor import Sensor, expose
-from ffpose.render.shading.sky import Earth
 from ffpose.render.shading.vectors import unit
 
 SIZE = (128, 96)

@@ -12,7 +12,7 @@ from ffpose.render.processes import ahead
 from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.render.variations import (
     Variation,
-    blurred,
+    finished,
     noisier,
     render_variations,
     variations,
@@ -118,7 +118,7 @@ def test_a_blur_has_the_standard_deviation_it_names(width):
     """The second moment of what becomes of one bright column."""
     image = np.zeros((33, width, 3), np.uint8)
     image[:, width // 2] = 255
-    row = blurred(image, 1.5)[16, :, 0].astype(float)
+    row = finished(image, Variation("", "", EASY, blur_px=1.5))[16, :, 0].astype(float)
     place = np.arange(width) - width // 2
     sigma = np.sqrt((row * place**2).sum() / row.sum())
     assert sigma == pytest.approx(1.5 * width / 640, rel=0.1)

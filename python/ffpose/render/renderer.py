@@ -12,6 +12,7 @@ import numpy as np
 from numpy.random import Generator, default_rng  # not later: a fork during it would hang
 from numpy.typing import NDArray
 
+from ffpose.arrays import shade_earth
 from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render import mitsuba
@@ -29,7 +30,7 @@ from ffpose.render.shading.reflection import (
     sun_visible,
 )
 from ffpose.render.shading.sensor import Sensor, choose_gain, expose
-from ffpose.render.shading.sky import Earth, draw_stars, sun_disk
+from ffpose.render.shading.sky import draw_stars, sun_disk
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats
 from ffpose.render.spacecraft.craft import Craft
@@ -237,14 +238,14 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, sid
     rays = pixel_rays(camera)
     pixel_angle = 1.0 / camera.fx
     octaves = int(np.clip(round(math.log2(camera.fx)), 5, 9))
-    earth = Earth(around.nadir, around.altitude, around.sun, around.ground, octaves)
+    above = around.nadir.tolist(), around.altitude, around.sun.tolist(), around.ground.tolist()
     flat = radiance.reshape(-1, 3)
     for start in range(0, len(flat), BLOCK):
         pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
         disk = sun_disk(around.sun, through, pixel_angle, side)
         if disk.any():
             pixels += disk[:, None]
-        glow, behind = earth.shade(through, pixel_angle)
+        glow, behind = shade_earth(through, *above, octaves, pixel_angle)
         if (behind < 1).any():
             pixels *= behind[:, None]
         if glow.any():

@@ -202,15 +202,9 @@ def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
 
 def finished(image: Bytes, variation: Variation) -> Bytes:
     """Do to a finished picture (H, W, 3) what the variation does."""
-    image = blurred(image, variation.blur_px)
-    if not variation.monochrome:
-        return image
-    return np.asarray(Image.fromarray(image).convert("L").convert("RGB"))
-
-
-def blurred(image: Bytes, sigma: float) -> Bytes:
-    """Blur a picture (H, W, 3) by a Gaussian of `sigma` pixels of an image 640 wide."""
-    if sigma == 0:
-        return image
-    radius = sigma * image.shape[1] / 640
-    return np.asarray(Image.fromarray(image).filter(ImageFilter.GaussianBlur(radius)))
+    picture = Image.fromarray(image)
+    if variation.blur_px > 0:
+        picture = picture.filter(ImageFilter.GaussianBlur(variation.blur_px * picture.width / 640))
+    if variation.monochrome:
+        picture = picture.convert("L").convert("RGB")
+    return np.asarray(picture)

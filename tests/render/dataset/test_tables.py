@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from earth import Earth
 from ffpose.datasets import read_conditions
 from ffpose.render import SCENES, Randomization, label, render, renderer, write_dataset
 from ffpose.render.dataset.tables import conditions_of
 from ffpose.render.renderer import situation
-from ffpose.render.shading.sky import Earth
 
 SIZE = (64, 48)
 INDICES = range(40)

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from earth import Earth
 from ffpose.arrays import instruction_set
-from ffpose.render.shading.sky import Earth
 from noise_reference import slow_fbm
 
 DEPTH = np.array([[0.07], [0.13], [0.28]])
@@ -159,11 +159,10 @@ def test_number_of_rays_does_not_change_a_bit():
 
 SHADE = """
 import hashlib, numpy as np
-from ffpose.render.shading.sky import Earth
+from ffpose.arrays import shade_earth
 rays = np.random.default_rng(0).normal((0, 0, 2), 1, (5000, 3)).T
 rays = (rays / np.linalg.norm(rays, axis=0)).astype(np.float32)
-earth = Earth(np.array([0.0, 0.0, 1.0]), 0.06, np.array([1.0, 0.0, -0.1]), np.eye(3))
-light, behind = earth.shade(rays, 1e-3)
+light, behind = shade_earth(rays, (0, 0, 1), 0.06, (1, 0, -0.1), np.eye(3).tolist(), 6, 1e-3)
 print(hashlib.sha256(light.tobytes() + behind.tobytes()).hexdigest())
 """
 

@@ -116,8 +116,10 @@ def write_dataset(
     """
     begin = time.perf_counter()
     scene = find_scene(scene)
-    _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
-    _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
+    expect(1 <= count <= MAX_COUNT, "count", f"1…{MAX_COUNT}", count)
+    expect(0 <= start <= MAX_COUNT, "start", f"0…{MAX_COUNT}", start)
+    expect(0 <= seed < 2**63, "seed", f"0…{2**63 - 1}", seed)
+    expect(1 <= workers <= 1024, "workers", "1…1024", workers)
     refuse_final(seed)
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails before a file is written
@@ -127,20 +129,20 @@ def write_dataset(
     begun = _begun(job, manifest)
 
     wanted = range(start, start + count)
-    hashes = dict(_valid_images(job, wanted, begun.files)) if begun else {}
-    missing = [index for index in wanted if index not in hashes]
+    found = _valid_images(job, wanted, begun.files) if begun else {}
+    missing = [index for index in wanted if index not in found]
     least = int(LEAST_BYTES_PER_PIXEL * camera.width * camera.height * len(missing))
     expect_room(job.folder, least, f"{len(missing)} images")
     if begun is None:  # last of the checks, as a folder with a manifest accepts no other set
         job.folder.mkdir(parents=True, exist_ok=True)
         manifest.write(job.folder / FILE_NAME)
     remove_leftovers(job.folder)
-    with _bar(count, len(hashes), progress) as advance:
+    with _bar(count, len(found), progress) as advance:
         made = in_processes(partial(render_one, job), missing, workers)
-        for index, digest in zip(missing, made, strict=True):
-            hashes[index] = digest
+        for index, digests in zip(missing, made, strict=True):
+            found[index] = digests
             advance()
-    files = _fingerprints(job, hashes)
+    files = {name: digest for index in wanted for name, digest in found[index].items()}
     closed = begun is not None and files.items() <= begun.files.items()
     if not _holds_images(job.folder, but=wanted):
         _close_set(job, manifest, files, wanted, camera)
@@ -159,8 +161,8 @@ def prepare(scene: Scene) -> None:
         require("mitsuba", "mitsuba")
 
 
-def render_one(job: Job, index: int) -> str:
-    """Render and write one image and its layers, and return the image's SHA-256."""
+def render_one(job: Job, index: int) -> dict[str, str]:
+    """Render and write one image and its layers, and return the SHA-256 of each by name."""
     from PIL import Image
 
     frame = render(job.scene, job.seed, index, job.size)
@@ -171,13 +173,13 @@ def render_one(job: Job, index: int) -> str:
     target = job.folder / image_name(index)
     with atomic_write(target, durable=False) as path:  # a later run rerenders damaged files
         Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
-        return sha256(path)
+    return _digests(job, index)
 
 
-def _check_range(**values: tuple[int, int, int]) -> None:
-    """Check that each value of (value, least, most) is within its bounds."""
-    for name, (value, least, most) in values.items():
-        expect(least <= value <= most, name, f"{least}…{most}", value)
+def _digests(job: Job, index: int) -> dict[str, str]:
+    """Return the SHA-256 of an image and its layers by name; FileNotFoundError without one."""
+    names = image_name(index), *label_files(index, job.labels)
+    return {name: sha256(job.folder / name) for name in names}
 
 
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:
@@ -196,15 +198,6 @@ def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     if changed:
         raise ValueError(f"{job.folder}: expected the same set as before, got {changed}")
     return old
-
-
-def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
-    """Return the SHA-256 by name of this run's images, given in `hashes`, and their layers."""
-    indices = sorted(hashes)
-    layers = [name for index in indices for name in label_files(index, job.labels)]
-    return {image_name(index): hashes[index] for index in indices} | {
-        name: sha256(job.folder / name) for name in layers
-    }
 
 
 def _close_set(
@@ -232,34 +225,23 @@ def _holds_images(folder: Path, but: range = range(0)) -> bool:
         return any(index is not None and index not in but for index in indices)
 
 
-def _known_files(job: Job, indices: range, closed: dict[str, str]) -> dict[str, str]:
-    """Return the SHA-256 by name of these images' files, as finished runs recorded them."""
+def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> dict[int, dict[str, str]]:
+    """Return the SHA-256 by name of the files of each image that exists, whole, with its layers."""
     known = dict(closed)
     for path in parts(job.folder, indices):
         part = Manifest.read(path)
         known |= part.files if part else {}
-    return known
-
-
-def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Yield index and SHA-256 of the images that exist and are intact."""
-    known = _known_files(job, indices, closed)
+    valid = {}
     for index in indices:
-        path = job.folder / image_name(index)
-        if not path.exists() or not _has_layers(job, index, known):
+        try:
+            digests = _digests(job, index)
+        except FileNotFoundError:
             continue
-        digest = sha256(path)
-        expected = known.get(path.name)
-        if digest == expected or (expected is None and readable(path, job.size)):
-            yield index, digest
-
-
-def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
-    """Return whether the layers of an image exist and match the manifest."""
-    for path in (job.folder / name for name in label_files(index, job.labels)):
-        if not path.exists() or (path.name in known and known[path.name] != sha256(path)):
-            return False
-    return True
+        image = image_name(index)
+        same = all(known.get(name, digest) == digest for name, digest in digests.items())
+        if same and (image in known or readable(job.folder / image, job.size)):
+            valid[index] = digests
+    return valid
 
 
 def readable(path: Path, size: tuple[int, int]) -> bool:

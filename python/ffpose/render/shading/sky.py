@@ -1,13 +1,10 @@
-"""Background of the spacecraft: stars, the sun's disk, the Earth seen from low orbit."""
+"""Background of the spacecraft: stars and the sun's disk."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose import arrays
 from ffpose.geometry import Camera
 from ffpose.render.shading.vectors import Floats
 
@@ -89,30 +86,3 @@ def _disk_radius(pixel_angle: float) -> float:
 def _disk_area(pixel_angle: float) -> float:
     """Integrate the smoothed disk; its rim falls linearly over a pixel."""
     return float(np.pi * (_disk_radius(pixel_angle) ** 2 + pixel_angle**2 / 12))
-
-
-class Earth(NamedTuple):
-    """The Earth in the camera frame; lengths in Earth radii.
-
-    Attributes:
-        nadir: (3,) unit vector to the Earth's center.
-        altitude: Height of the camera above the ground.
-        sun: (3,) unit vector to the sun.
-        ground: (3, 3) rotation from the camera frame to the frame of land and clouds.
-        octaves: Noise octaves of the clouds; finer images need more.
-    """
-
-    nadir: NDArray[np.float64]
-    altitude: float
-    sun: NDArray[np.float64]
-    ground: NDArray[np.float64]
-    octaves: int = 6
-
-    def shade(self, rays: Floats, pixel_angle: float) -> tuple[Floats, Floats]:
-        """Compute the radiance that reaches the camera from the Earth and its atmosphere.
-
-        Along unit rays (3, N) of the camera frame: radiance (3, N), and the transmittance (N,) for
-        what lies behind; the limb is smoothed over a pixel's angle, radians.
-        """
-        vectors = self.nadir.tolist(), self.altitude, self.sun.tolist(), self.ground.tolist()
-        return arrays.shade_earth(rays, *vectors, self.octaves, pixel_angle)

@@ -99,9 +99,9 @@ class Materials:
 
     def _make(self, header: Header) -> tuple[Material, tuple[Source, ...]]:
         extensions = header.get("extensions", {})
-        base, rough = _slots(header)
         sources: dict[Source, int] = {}
         factors = _factors(header)
+        base, rough = factors["slots"]
         if factors.get("glossiness") is not None:
             factors["reflectance"] = self._tinted(factors["reflectance"], rough)
         alpha = factors["color"][3] if header.get("alphaMode", "OPAQUE") != "OPAQUE" else 1.0
@@ -158,17 +158,10 @@ class Materials:
         return Texture(self._pyramids.get(key), sources.setdefault(source, len(sources)))
 
     def _key(self, slot: Header | None, convert: Convert) -> Key | None:
-        """Return what the pyramid of a slot is made of; None without an image."""
-        number = self._image_number(slot)
-        if slot is None or number is None:
-            return None
-        entry = self._header["textures"][slot["index"]]
-        sampler = self._header["samplers"][entry["sampler"]] if "sampler" in entry else {}
-        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
-        return Key(number, convert, wrap)
+        """Return what the pyramid of a slot is made of; None without an image.
 
-    def _image_number(self, slot: Header | None) -> int | None:
-        """Return the image of a slot; None without one, a DataError for one in KTX2 alone."""
+        A DataError if it is in KTX2 alone.
+        """
         if slot is None:
             return None
         entry = self._header["textures"][slot["index"]]
@@ -176,7 +169,11 @@ class Materials:
         number = extensions.get("EXT_texture_webp", {}).get("source", entry.get("source"))
         if number is None and "KHR_texture_basisu" in extensions:
             raise self._in_ktx2(f"texture {slot['index']}")
-        return None if number is None else int(number)
+        if number is None:
+            return None
+        sampler = self._header["samplers"][entry["sampler"]] if "sampler" in entry else {}
+        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
+        return Key(int(number), convert, wrap)
 
     def _opened(self, number: int) -> Any:
         """Open an image, of which Pillow reads the head."""
@@ -201,8 +198,8 @@ def _left_out(material: Header) -> Iterator[str]:
 
 def _maps(material: Header) -> dict[str, tuple[Header | None, Convert]]:
     """Return slots of textures by their fields of a `Material`, and what turns their codes."""
-    base, rough = _slots(material)
-    shine = _factors(material).get("glossiness")
+    factors = _factors(material)
+    (base, rough), shine = factors["slots"], factors.get("glossiness")
     normal = material.get("normalTexture")
     return {
         "color_map": (base, color_of(material.get("alphaMode", "OPAQUE"), _cutoff(material))),
@@ -219,17 +216,11 @@ def _cutoff(material: Header) -> float | None:
     return float(material.get("alphaCutoff", 0.5) / max(_factors(material)["color"][3], 1e-6))
 
 
-def _slots(material: Header) -> tuple[Header | None, Header | None]:
-    """Return the slots of color and roughness."""
-    glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
-    if glossy is not None:
-        return glossy.get("diffuseTexture"), glossy.get("specularGlossinessTexture")
-    rough = material.get("pbrMetallicRoughness", {})
-    return rough.get("baseColorTexture"), rough.get("metallicRoughnessTexture")
-
-
 def _factors(header: Header) -> dict[str, Any]:
-    """Return color with alpha, roughness, metalness, and reflectance at normal incidence."""
+    """Return color with alpha, roughness, metalness, and reflectance at normal incidence.
+
+    ``slots`` are those of the textures of color and roughness.
+    """
     extensions = header.get("extensions", {})
     glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
     if glossy is not None:
@@ -239,6 +230,7 @@ def _factors(header: Header) -> dict[str, Any]:
             "metallic": 0.0,
             "reflectance": three(np.asarray(glossy.get("specularFactor", (1, 1, 1)), float)),
             "glossiness": glossy.get("glossinessFactor", 1.0),
+            "slots": (glossy.get("diffuseTexture"), glossy.get("specularGlossinessTexture")),
         }
     rough = header.get("pbrMetallicRoughness", {})
     specular = extensions.get("KHR_materials_specular", {})
@@ -251,6 +243,7 @@ def _factors(header: Header) -> dict[str, Any]:
         "roughness": float(rough.get("roughnessFactor", 1.0)),
         "metallic": float(rough.get("metallicFactor", 1.0)),
         "reflectance": three(reflectance),
+        "slots": (rough.get("baseColorTexture"), rough.get("metallicRoughnessTexture")),
     }
 
 

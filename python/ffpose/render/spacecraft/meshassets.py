@@ -40,7 +40,7 @@ class Assets:
     Attributes:
         source: The mesh file.
         problems: What was wrong with the files that were asked for.
-        used: Names of the materials that an OBJ file uses, of its MTL files'; None for all.
+        used: Names of the materials that an OBJ file uses, of its MTL files'.
         libraries: Lines that name an OBJ file's MTL files: trimesh asks for the first one alone.
         defined: Names of the materials of its MTL files.
     """
@@ -48,7 +48,7 @@ class Assets:
     def __init__(self, source: Path) -> None:
         self.problems: list[DataError] = []
         self.source = source
-        self.used: set[bytes] | None = None
+        self.used: set[bytes] = set()
         self.libraries: list[str] = []
         self.defined: set[bytes] = set()
         self._digests: dict[str, str] = {}
@@ -65,9 +65,14 @@ class Assets:
         names = [each for line in self.libraries for each in self._names(line)]
         texts = [as_utf8(self._kept(each, NO_MATERIALS)) for each in dict.fromkeys(names)]
         self._folders += [path.parent for each in names if (path := self._find(each))]
-        content = b"\n".join(texts)
-        self.defined = {name for name in map(_material_name, content.splitlines()) if name}
-        return _of_used(content, self.used)
+        kept, keeps = list[bytes](), True
+        for line in b"\n".join(texts).splitlines():
+            if (begun := _material_name(line)) is not None:
+                self.defined |= {begun} - {b""}
+                keeps = begun in self.used  # textures of others may be missing
+            if keeps:
+                kept.append(line)
+        return b"\n".join(kept)
 
     def _names(self, line: str) -> list[str]:
         """Return the names on a line: several, or one that has spaces."""
@@ -158,20 +163,6 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, KeyError):
         return f"one without {error}"
     return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
-
-
-def _of_used(content: bytes, used: set[bytes] | None) -> bytes:
-    """Return an MTL file without the materials that are not used, whose textures may be missing."""
-    if used is None:
-        return content
-    kept, keeps = [], True
-    for line in content.splitlines():
-        name = _material_name(line)
-        if name is not None:
-            keeps = name in used
-        if keeps:
-            kept.append(line)
-    return b"\n".join(kept)
 
 
 def _material_name(line: bytes) -> bytes | None:

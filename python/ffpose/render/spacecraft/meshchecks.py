@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ffpose.errors import DataError
-from ffpose.render.spacecraft.meshassets import as_utf8
+from ffpose.render.spacecraft.meshassets import Assets, as_utf8
 from ffpose.render.spacecraft.polygons import folded, triangles
 
 KINDS = {b"v": "vertices", b"vt": "texture coordinates", b"vn": "normals"}
@@ -35,22 +35,23 @@ PLY_CODES |= {b"uint8": "B", b"uint16": "H", b"uint32": "I"}
 """Codes of the module struct for a PLY file's types."""
 
 
-def checked(content: bytes, suffix: str, source: Path) -> bytes:
-    """Return a file of a format such as ``".obj"`` as trimesh is to read it.
+def checked(content: bytes, suffix: str, assets: Assets) -> bytes:
+    """Return a file of a format such as ``".obj"`` as trimesh is to read it, with ``assets``.
 
     A DataError if it is cut short, or a face of an OBJ file is none.
     """
     if suffix == ".obj":
-        return _obj(as_utf8(content), source)
+        return _obj(as_utf8(content), assets)
     if suffix == ".stl":
-        return _stl(content, source)
-    return _ply(content, source)
+        return _stl(content, assets.source)
+    return _ply(content, assets.source)
 
 
-def _obj(content: bytes, source: Path) -> bytes:
+def _obj(content: bytes, assets: Assets) -> bytes:
     """Return an OBJ file, the faces of which count from its beginning and have no other inside.
 
     Where some faces of a material have texture coordinates, all have: trimesh would leave out all.
+    ``assets`` learns which materials and libraries it names.
     """
     lines = list(_obj_lines(content))
     before, totals = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
@@ -66,6 +67,9 @@ def _obj(content: bytes, source: Path) -> bytes:
             rest = rest.partition(b"#")[0]
         elif key == b"usemtl":
             material = rest
+            assets.used.add(b" ".join(rest.split()))
+        elif key == b"mtllib":
+            assets.libraries.append(rest.strip().decode(errors="replace"))
         try:
             if key == b"v":
                 points.append(_point(rest))
@@ -79,7 +83,7 @@ def _obj(content: bytes, source: Path) -> bytes:
                     bare[len(text)] = material
                 rest = b" ".join(corners)
         except ValueError as error:
-            raise DataError(str(error), source, line) from None
+            raise DataError(str(error), assets.source, line) from None
         text.append(key + b" " + rest)
     text.append(b"vt 0 0")
     for place, its in bare.items():
@@ -126,20 +130,6 @@ def _clipped(
             corners = polygons[places[k]]
             faces = triangles(shapes[k])
             yield places[k], [[corners[number] for number in face] for face in faces]
-
-
-def named_materials(content: bytes) -> tuple[set[bytes], list[str]]:
-    """Return the names of the materials that an OBJ file uses, and the lines of its libraries.
-
-    Words of a name are between single spaces.
-    """
-    used, libraries = set[bytes](), list[str]()
-    for _, key, rest in _obj_lines(content):
-        if key == b"usemtl":
-            used.add(b" ".join(rest.split()))
-        elif key == b"mtllib":
-            libraries.append(rest.strip().decode(errors="replace"))
-    return used, libraries
 
 
 def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> list[bytes]:

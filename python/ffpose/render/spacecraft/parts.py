@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,8 +44,8 @@ def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
     counts = [len(part.faces) for part in parts]
-    depth = max(len(part.layers) for part in parts)
     normals = [_of_corners(part, part.normals, (np.nan,) * 3) for part in parts]
+    colors = [_colors(part) for part in parts]
     vertices = np.concatenate([part.vertices for part in parts])
     used, together = used_vertices(np.concatenate(faces), len(vertices))
     mesh = Mesh(
@@ -53,17 +54,10 @@ def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
         np.zeros((sum(counts), 3, 2)),
         np.repeat([numbers[part.material] for part in parts], counts).astype(np.int32),
         None if all(part.normals is None for part in parts) else np.concatenate(normals),
-        None
-        if all(part.colors is None for part in parts)
-        else np.concatenate([_colors(part) for part in parts]),
+        None if all(part.colors is None for part in parts) else np.concatenate(colors),
         tuple(
-            np.concatenate(
-                [
-                    _of_corners(part, part.layers[k] if k < len(part.layers) else None, (0, 0))
-                    for part in parts
-                ]
-            )
-            for k in range(depth)
+            np.concatenate([_of_corners(*pair, (0, 0)) for pair in zip(parts, layer, strict=True)])
+            for layer in zip_longest(*(part.layers for part in parts))
         ),
     )
     return mesh, materials

@@ -99,15 +99,8 @@ def _service_module() -> list[Mesh]:
         for angle in (-60, -90, -120)
     ]
     thrusters = [
-        lathe([(-0.10, 0.06), (0.05, 0.03)], BLACK, 12)
-        .moved(turn("x", angle), (-3.30, 0, 0))
-        .moved(shift=shift)
-        for angle, shift in (
-            (0, (0, 0, 1.12)),
-            (0, (0, 0, -1.12)),
-            (0, (0, 1.12, 0)),
-            (0, (0, -1.12, 0)),
-        )
+        lathe([(-0.10, 0.06), (0.05, 0.03)], BLACK, 12).moved(shift=(-3.30, y, z))
+        for y, z in ((0, 1.12), (0, -1.12), (1.12, 0), (-1.12, 0))
     ]
     return body + radiator + thrusters
 

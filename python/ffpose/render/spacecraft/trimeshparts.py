@@ -17,7 +17,7 @@ from ffpose.errors import DataError, require
 from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, values_of
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
-from ffpose.render.spacecraft.meshchecks import checked, named_materials
+from ffpose.render.spacecraft.meshchecks import checked
 from ffpose.render.spacecraft.mtloptions import texture_options
 from ffpose.render.spacecraft.parts import Part, check_shape
 from ffpose.render.spacecraft.pyramids import Key, Pyramids
@@ -64,9 +64,7 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
     level = log.level
     log.setLevel(logging.CRITICAL + 1)  # errors are told here, once
     try:
-        content = checked(content, suffix, source)
-        if suffix == ".obj":
-            assets.used, assets.libraries = named_materials(content)
+        content = checked(content, suffix, assets)
         file = io.BytesIO(content)
         with signals_kept():  # trimesh goes on after whatever is raised while it reads
             scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
@@ -87,9 +85,7 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
         log.setLevel(level)
     if assets.problems:
         raise assets.problems[0]
-    unknown = sorted(
-        name.decode(errors="replace") for name in (assets.used or set()) - assets.defined
-    )
+    unknown = sorted(name.decode(errors="replace") for name in assets.used - assets.defined)
     if unknown:
         logger.warning("%s: no MTL file has %s: gray", source, ", ".join(map(repr, unknown)))
     return parts
