@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ffpose._internal.options import join, split, wrong
-from ffpose.training.options import as_fields, field_parser, read_words
+from ffpose.training.options import field_parser, read_words
 
 
 def read_changes(changes: Iterable[str]) -> dict[str, Any]:
@@ -37,4 +37,9 @@ def read_changes(changes: Iterable[str]) -> dict[str, Any]:
     values = parser.parse_args(read_words([*words, *missing]), defaults=False)
     for word in missing:
         del values[word.partition("=")[0].removeprefix("--")]
-    return {name: value for name, value in as_fields(values.as_dict()).items() if value != {}}
+    named = values.as_dict()
+    network = dict(named.pop("model", {}))
+    if "name" in network:
+        named["model"] = network.pop("name")
+    named["model_fields"] = network
+    return {name: value for name, value in named.items() if value != {}}

@@ -29,7 +29,6 @@ from ffpose.training.run import (
     translation_statistics,
 )
 from ffpose.training.stages import Epoch
-from ffpose.training.tasks import trained_together
 from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -312,7 +311,7 @@ def test_images_are_standardized_as_the_backbone_expects(image_set, trained, tmp
     assert (saved.mean, saved.std, saved.interpolation) == ((0.5,) * 3, (0.5,) * 3, "bicubic")
     config = train_config(image_set, tmp_path / "run")
     run = build_run(replace(config, data=replace(config.data, augment=False)))
-    assert run.task.preprocessing == saved
+    assert run.task.val_set.preprocessing == saved
     for dataset in (run.task.train_set, run.task.val_set):
         assert dataset.preprocessing == saved
         with Image.open(image_set / dataset.names[0]) as image:
@@ -365,7 +364,7 @@ def gradient_descent(monkeypatch):
     """Steps that are proportional to the gradients, so that weights tell how large those were."""
 
     def build(model, loss, config):
-        return torch.optim.SGD(trained_together(model, loss), lr=config.learning_rate)
+        return torch.optim.SGD([*model.parameters(), *loss.parameters()], lr=config.learning_rate)
 
     monkeypatch.setattr("ffpose.training.engine.build_optimizer", build)
 

@@ -56,8 +56,9 @@ def rotation_parts(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RotationPart
         >>> float(parts.in_plane_deg[0].round(6)), float(parts.out_of_plane_deg[0].round(6))
         (90.0, 0.0)
     """
-    q_hat, ray, q = _checked(q_hat, t, q)
-    error = multiply(q_hat, conjugate(q))
+    rows = np.shape(q_hat)[:1]
+    prediction, ray = _unit_rows("q_hat", q_hat, (*rows, 4)), _unit_rows("t", t, (*rows, 3))
+    error = multiply(prediction, conjugate(_unit_rows("q", q, (*rows, 4))))
     w, v = error[:, 0], error[:, 1:]
     along = (v * ray).sum(axis=1)
     across = np.linalg.norm(np.cross(v, ray), axis=1)
@@ -72,24 +73,13 @@ def rotation_error_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
     ``(N, 3)`` radians, of length 0 to pi, for predicted and true orientations ``(N, 4)``; raises as
     `rotation_parts`.
     """
-    ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q_hat)), 1))
-    q_hat, _, q = _checked(q_hat, ahead, q)
-    return rotation_vector(multiply(q, conjugate(q_hat)))
+    shape = (*np.shape(q_hat)[:1], 4)
+    prediction, truth = _unit_rows("q_hat", q_hat, shape), _unit_rows("q", q, shape)
+    return rotation_vector(multiply(truth, conjugate(prediction)))
 
 
-def _checked(
-    q_hat: ArrayLike, t: ArrayLike, q: ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Check the arguments, and return quaternions and rays in float64 with unit norm."""
-    rows = len(np.asarray(q_hat)) if np.ndim(q_hat) else 0
-    named = (("q_hat", q_hat, 4), ("t", t, 3), ("q", q, 4))
-    prediction, ray, truth = (
-        _unit_rows(name, values, (rows, size)) for name, values, size in named
-    )
-    return prediction, ray, truth
-
-
-def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Check an argument, and return it in float64 with rows of unit norm."""
     array = np.asarray(values)
     if array.dtype.kind != "f":
         raise TypeError(f"{name}: expected a floating dtype, got {array.dtype}")

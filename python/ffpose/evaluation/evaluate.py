@@ -56,12 +56,6 @@ from ffpose.inference.prediction import axis_length
 from ffpose.models import PosePrediction, WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
 
-UNCERTAINTY = (
-    *("translation_covariance", "rotation_covariance", "in_view"),
-    *("alternative", "probabilities"),
-)
-"""Uncertainty outputs that a network may have besides its poses."""
-
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -362,8 +356,8 @@ def evaluate(
         name: np.concatenate([batch[name] for batch in batches]).astype(np.float64)
         for name in batches[0]
     }
-    predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
-    told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
+    predicted = np.concatenate([outputs.pop(name) for name in PosePrediction._fields], axis=1)
+    told: dict[str, Any] = {**outputs}
     told["degrees_of_freedom"] = metadata.degrees_of_freedom
     told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
     told["unfolded"] = unfolded

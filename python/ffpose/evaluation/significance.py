@@ -43,23 +43,13 @@ def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
     ``sum(sin(a - a0) sin(b - b0)) / sqrt(sum(sin²(a - a0)) sum(sin²(b - b0)))`` with the mean
     directions ``a0`` and ``b0`` (Jammalamadaka and SenGupta, 2001, section 8.2). For small angles
     it is Pearson's.
-
-    Raises:
-        ValueError: Shapes other than ``(N,)``, or different ones.
     """
-    return _correlation(*(np.sin(_from_mean(angle)) for angle in _pair(a_deg, b_deg)))
+    return _correlation(*(np.sin(_from_mean(np.radians(each))) for each in (a_deg, b_deg)))
 
 
 def correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
     """Return Pearson's correlation of angles that do not wrap; else as `circular_correlation`."""
-    return _correlation(*(angle - angle.mean() for angle in _pair(a_deg, b_deg)))
-
-
-def _pair(a_deg: ArrayLike, b_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    a, b = (np.radians(np.asarray(angle, np.float64)) for angle in (a_deg, b_deg))
-    if a.ndim != 1 or a.shape != b.shape or len(a) == 0:
-        raise ValueError(f"angles: expected shapes (N,), N > 0, got {a.shape} and {b.shape}")
-    return a, b
+    return _correlation(*(angle - angle.mean() for angle in map(np.radians, (a_deg, b_deg))))
 
 
 def _from_mean(angle: FloatArray) -> FloatArray:

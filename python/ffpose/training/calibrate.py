@@ -21,8 +21,8 @@ nominal coverage (as in conformal prediction).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import fields, replace
 from typing import NamedTuple
 
@@ -117,8 +117,7 @@ def calibrate(
     """Find the distribution of a network's errors, and the threshold that flags images.
 
     What an earlier calibration found does not count, so the same images always give the same
-    numbers. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`. The network
-    is put in evaluation mode and otherwise left as it is.
+    numbers. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`.
 
     Args:
         model: The network.
@@ -132,13 +131,14 @@ def calibrate(
     Raises:
         ValueError: ``labeled`` has no images, or a covariance is not positive definite.
     """
-    model.eval()
-    with _uncalibrated(model):
-        seen = _see_all(model, labeled, symmetry, pointed_off=True)
-        absent = [_see(model, images)["in_view"] for images in empty]
-        if not seen:
-            raise ValueError("labeled: expected images that show the object, got none")
-        others = [_see_all(model, images, symmetry) for images in (cut, hard)]
+    model = deepcopy(model).eval()
+    model.config = with_calibration(model.config, PolarPoseConfig())
+    model.variance_scales.fill_(1)
+    seen = _see_all(model, labeled, symmetry, pointed_off=True)
+    absent = [_see(model, images)["in_view"] for images in empty]
+    if not seen:
+        raise ValueError("labeled: expected images that show the object, got none")
+    others = [_see_all(model, images, symmetry) for images in (cut, hard)]
     sets = [each for each in (seen, *others) if each]
     factor = distance_factor(seen["translation"], seen["true_translation"])
     shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
@@ -182,19 +182,6 @@ def with_calibration(
     return replace(config, **{name: getattr(found, name) for name in names})
 
 
-@contextmanager
-def _uncalibrated(model: PolarPose) -> Iterator[None]:
-    """Let a network predict as if it had never been calibrated."""
-    config, scales = model.config, model.variance_scales.clone()
-    model.config = with_calibration(config, PolarPoseConfig())
-    model.variance_scales.fill_(1)
-    try:
-        yield
-    finally:
-        model.config = config
-        model.variance_scales.copy_(scales)
-
-
 def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
     """Return the factor on translations ``(N, 3)`` that removes the median log distance error."""
     ratios = np.linalg.norm(truth, axis=1) / np.linalg.norm(predicted, axis=1)
@@ -219,10 +206,10 @@ def truncation_distance(too_far: ArrayLike, truncation: ArrayLike) -> float:
 
 
 def fit_tails(
-    squared_distance: ArrayLike,
-    doubt: ArrayLike,
-    truncation: ArrayLike,
-    probabilities: ArrayLike | None = None,
+    squared_distance: FloatArray,
+    doubt: FloatArray,
+    truncation: FloatArray,
+    probabilities: FloatArray,
 ) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
@@ -231,25 +218,14 @@ def fit_tails(
     `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
 
     Args:
-        squared_distance: ``eᵀ C⁻¹ e`` of the errors ``(N,)``, or of those from each of several
-            modes ``(N, K)``, about each of which errors have the same distribution.
+        squared_distance: ``eᵀ C⁻¹ e`` of the errors from each of the modes ``(N, K)``, about each
+            of which errors have the same distribution.
         doubt: ``(N,)``.
         truncation: ``(N,)``.
-        probabilities: Of the modes ``(N, K)``, the first above 0; None for one.
-
-    Raises:
-        ValueError: There are no distances, or one is negative or not finite.
+        probabilities: Of the modes ``(N, K)``, the first above 0.
     """
-    d2 = np.asarray(squared_distance, np.float64)
-    shares = np.stack([np.asarray(doubt, np.float64), np.asarray(truncation, np.float64) ** 2])
-    if probabilities is None:
-        d2 = d2[..., None]
-    if d2.ndim != 2 or d2.size == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():
-        raise ValueError(
-            f"squared distance: expected finite numbers (N,) of at least 0, N > 0, got {d2}"
-        )
-    p = np.ones_like(d2) if probabilities is None else np.asarray(probabilities, np.float64)
-    log_p = torch.from_numpy(p / p.sum(axis=1, keepdims=True)).log()
+    shares = np.stack([doubt, truncation**2])
+    log_p = torch.from_numpy(probabilities / probabilities.sum(axis=1, keepdims=True)).log()
     x = torch.zeros(4, dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
         [x],
@@ -258,7 +234,7 @@ def fit_tails(
         tolerance_change=1e-12,
         line_search_fn="strong_wolfe",
     )
-    begin = math.log(max(float(np.median(d2.min(axis=1))), LEAST_DISTANCE))
+    begin = math.log(max(float(np.median(squared_distance.min(axis=1))), LEAST_DISTANCE))
     grows = torch.from_numpy(shares.any(1).astype(np.float64))
 
     def found() -> tuple[Tensor, Tensor, Tensor]:
@@ -269,7 +245,7 @@ def fit_tails(
     def loss() -> Tensor:
         search.zero_grad()
         value = negative_log_likelihood(
-            torch.from_numpy(d2), log_p, torch.from_numpy(shares), *found()
+            torch.from_numpy(squared_distance), log_p, torch.from_numpy(shares), *found()
         )
         torch.autograd.backward(value)
         return value

@@ -36,7 +36,7 @@ from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, next_epoch
-from ffpose.training.tasks import Objective, trained_together
+from ffpose.training.tasks import Objective
 
 SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
 """Column whose lowest value selects the best epoch; it combines both errors without units.
@@ -137,7 +137,7 @@ def _train(
                 spent = sum(float(row["cpu_seconds"]) for row in state.history)
                 if cpu_minutes is not None and spent >= 60 * cpu_minutes:
                     break
-                if epoch.opens_stage and state.history:
+                if epoch.index == 0 and state.history:
                     _return_to_best(run, state)
                 row = _train_and_validate(run, epoch, reporter)
                 state.history.append(row)
@@ -159,7 +159,7 @@ def _train(
 
 def _header(run: Run) -> dict[str, Any]:
     return {
-        "preprocessing": run.task.preprocessing,
+        "preprocessing": run.task.val_set.preprocessing,
         "backbone_source": run.average.model.backbone.source,
         "recipe": recipe(run.config, run.init),
         "data": run.task.describe(run.config.data),
@@ -263,7 +263,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     seed = int(np.random.SeedSequence([run.config.seed, epoch.number]).generate_state(1)[0])
     torch.manual_seed(seed + run.processes.rank)
     enter_stage(run.model, run.task.loss, epoch.stage)
-    if epoch.opens_stage:
+    if epoch.index == 0:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
     objective = run.processes.parallel(Objective(run.task, run.model, run.device))
     sums = torch.zeros(3, dtype=torch.float64)
@@ -279,7 +279,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
             values = _gradients(run, objective, batch, epoch, share)
         if last:
             _step(run, rate)
-        count = run.task.size(batch)
+        count = len(batch.index)
         sums += values * count
         reporter.step(float(values[0]), rate, count)
     means = (run.processes.total(sums) / run.task.images).tolist()
@@ -324,7 +324,7 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
 def _step(run: Run, rate: float) -> None:
     for group in run.optimizer.param_groups:
         group["lr"] = rate
-    parameters = trained_together(run.model, run.task.loss)
+    parameters = [*run.model.parameters(), *run.task.loss.parameters()]
     if run.config.optimizer.clip_norm > 0:
         torch.nn.utils.clip_grad_norm_(parameters, run.config.optimizer.clip_norm)
     run.optimizer.step()

@@ -86,10 +86,12 @@ class ObjectObjective(nn.Module):
         error = shown.offset - batch.offset[present]
         offset = F.smooth_l1_loss(shown.offset, batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(shown.orientation, truth).mean()
-        q_hat = self._decoded(model, shown)
+        with torch.set_grad_enabled(c.angle > 0 and torch.is_grad_enabled()):
+            q_hat = model.orientation.decode(shown.orientation)
         with torch.no_grad():
             truth = nearest_equivalent(q_hat, truth, self.rotations)
-        angle = half_angle(q_hat, truth).mean()
+        cosine = (q_hat * truth).sum(-1)  # of half the angle, whose sine pulls evenly
+        angle = (1 - cosine.square() + 1e-6).clamp_min(1e-6).sqrt().mean()
         with torch.no_grad():
             turned = rotation_vector(rotation_between(q_hat, truth))
             residual = torch.cat((error, turned), dim=1)
@@ -110,13 +112,6 @@ class ObjectObjective(nn.Module):
             places = batch.keypoints[present]
             total = total + c.keypoints * heatmap_loss(seen, places)
         return LossTerms(total, first + offset, orientation)
-
-    def _decoded(self, model: PolarPose, numbers: SecondLookOutput) -> Tensor:
-        """Return the attitudes ``(B, 4)``, with gradients where the loss has a term of them."""
-        if self.config.angle > 0:
-            return model.orientation.decode(numbers.orientation)
-        with torch.no_grad():
-            return model.orientation.decode(numbers.orientation)
 
     def _maps(self, name: str, feature_map: Tensor, batch: PatchBatch) -> Tensor:
         """Return predicted maps ``(P, channels, rows, columns)`` of the samples with the object."""
@@ -161,8 +156,3 @@ def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
         cell = v.clamp(0, rows - 1) * columns + u % columns
         total = total - weight * log_p.gather(-1, cell[..., None])[..., 0]
     return (total * shown).sum() / shown.sum().clamp_min(1)
-
-
-def half_angle(q_hat: Tensor, q: Tensor) -> Tensor:
-    """Return the sine of half the angle between attitudes ``(B, 4)``, which pulls evenly."""
-    return (1 - (q_hat * q).sum(-1).square() + 1e-6).clamp_min(1e-6).sqrt()

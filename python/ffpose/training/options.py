@@ -126,39 +126,24 @@ def to_config(values: Mapping[str, Any]) -> TrainConfig:
         argparse.ArgumentError: There is no network of the name, or it has no field of a name.
         ValueError: A value is invalid.
     """
-    named = as_fields({"model": {}, **values})
-    model = named.setdefault("model", DEFAULT_MODEL)
+    named = dict(values)
+    network = dict(named.pop("model", {}))
+    model = network.pop("name", DEFAULT_MODEL)
     if model not in PRESETS:
         raise wrong(f"model: expected one of {', '.join(PRESETS)}, got {model!r}")
     try:
-        PRESETS[model].check_names(named["model_fields"])
+        PRESETS[model].check_names(network)
     except ValueError as error:
         raise wrong(f"model: {error}") from error
-    return TrainConfig(**named)
-
-
-def as_fields(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields with ``model`` as `TrainConfig` has it: a name, and fields to change."""
-    named = dict(values)
-    if "model" in named:
-        network = dict(named.pop("model"))
-        if "name" in network:
-            named["model"] = network.pop("name")
-        named["model_fields"] = network
-    return named
-
-
-def to_document(config: TrainConfig) -> dict[str, Any]:
-    """Return the fields of a configuration as a file has them: the inverse of `to_config`."""
-    values = asdict(config)
-    network = values.pop("model_fields")
-    return {**values, "model": {"name": values["model"], **network}}
+    return TrainConfig(**named, model=model, model_fields=network)
 
 
 def dump_config(config: TrainConfig) -> str:
     """Return ``config`` as YAML, with every field."""
+    values = asdict(config)
+    network = {"name": values["model"], **values.pop("model_fields")}
     parser = field_parser()
-    return str(parser.dump(parser.parse_object(to_document(config))))
+    return str(parser.dump(parser.parse_object({**values, "model": network})))
 
 
 def load_config(path: Path) -> TrainConfig:

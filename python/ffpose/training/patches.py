@@ -483,15 +483,8 @@ def _span(places: Tensor, side: int) -> tuple[int, int]:
 
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
     """Return set and row ``(N, 2)`` of each sample."""
-    return np.concatenate(
-        [
-            np.zeros((0, 2), np.intp),
-            *(
-                np.stack([np.full(len(a["labels"]), n), np.arange(len(a["labels"]))], axis=1)
-                for n, a in enumerate(sets)
-            ),
-        ]
-    )
+    places = [(n, row) for n, each in enumerate(sets) for row in range(len(each["labels"]))]
+    return np.array(places, np.intp).reshape(-1, 2)
 
 
 def _joined(sets: Sequence[Arrays], name: str, device: torch.device) -> Tensor:

@@ -58,11 +58,6 @@ class Epoch:
     stage: Stage
     index: int
 
-    @property
-    def opens_stage(self) -> bool:
-        """Whether this is the first epoch of its stage."""
-        return self.index == 0
-
 
 def next_epoch(
     stages: Sequence[Stage], finished: Sequence[tuple[str, float]], patience: int = 0

@@ -61,11 +61,6 @@ class Task(ABC):
     processes: Processes
 
     @property
-    def preprocessing(self) -> Preprocessing:
-        """Preprocessing of the validation images."""
-        return self.val_set.preprocessing
-
-    @property
     @abstractmethod
     def images(self) -> int:
         """Number of training images that an epoch uses, over all processes."""
@@ -82,10 +77,6 @@ class Task(ABC):
     @abstractmethod
     def terms(self, model: BaseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
-
-    def size(self, batch: Any) -> int:
-        """Return the number of images in a batch."""
-        return len(batch.index)
 
     @abstractmethod
     def names(self, batch: Any) -> str:
@@ -259,8 +250,3 @@ def prefetched(
         while (batch := upcoming.result()) is not None:
             upcoming = pool.submit(next, batches, None)
             yield batch
-
-
-def trained_together(model: nn.Module, loss: nn.Module) -> list[Tensor]:
-    """Return all parameters of network and loss."""
-    return [*model.parameters(), *loss.parameters()]
