@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera
 from ffpose.models.virtual_camera import (
+    chosen,
     pyramid,
     pyramid_level,
     render_virtual,
@@ -78,7 +79,7 @@ def test_a_twist_is_a_rotation_about_z(generator):
 def test_rotation_and_quaternion_of_a_camera_are_one(generator):
     views = [turned_views(generator, 50)[1] for _ in range(2)]
     taken = torch.from_numpy(generator.random(50) < 0.5)
-    for view in (views[0], views[0].of(taken), views[0].where(taken, views[1])):
+    for view in (views[0], views[0].of(taken), chosen(taken, *views)):
         expected = Rotation.from_quat(view.quaternion.numpy(), scalar_first=True).as_matrix()
         np.testing.assert_allclose(view.rotation.numpy(), expected, atol=1e-12)
     assert torch.equal(view.quaternion[taken], views[0].quaternion[taken])

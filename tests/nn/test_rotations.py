@@ -34,9 +34,6 @@ def test_products(pair):
     expected = second * first
     product = arrays.multiply(wxyz(second), wxyz(first))
     np.testing.assert_allclose(arrays.rotation_matrix(product), expected.as_matrix(), atol=1e-12)
-    between = arrays.multiply(wxyz(second), arrays.conjugate(wxyz(first)))
-    tensor = tensors.rotation_between(*(torch.from_numpy(wxyz(each)) for each in pair))
-    np.testing.assert_allclose(tensor.numpy(), between, atol=1e-15)
     tensor = tensors.quaternion_product(*(torch.from_numpy(wxyz(r)) for r in (second, first)))
     np.testing.assert_allclose(tensor.numpy(), product, atol=1e-15)
 
@@ -45,5 +42,3 @@ def test_matrices(pair):
     q = wxyz(pair[1])
     matrices = tensors.quaternion_to_matrix(torch.from_numpy(q))
     np.testing.assert_allclose(matrices.numpy(), arrays.rotation_matrix(q), atol=1e-15)
-    back = tensors.matrix_to_quaternion(matrices).numpy()
-    np.testing.assert_allclose(back * np.sign((back * q).sum(1, keepdims=True)), q, atol=1e-12)

@@ -8,6 +8,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.cli import main
+from ffpose.config import NetworkConfig
 from ffpose.datasets.csv_set import read_trajectory
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
@@ -36,7 +37,7 @@ class Estimator:
 
     class metadata:
         locates = "object"
-        tracking = degrees_of_freedom = config = None
+        config, tracking = NetworkConfig(), None
         symmetry = IDENTITY
 
     camera = CAMERA

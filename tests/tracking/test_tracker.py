@@ -12,6 +12,7 @@ from scipy.linalg import expm, sqrtm
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from ffpose.config import PolarPoseConfig
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.tracking import Settings, Tracker
 
@@ -444,11 +445,11 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(arguments, error, messa
 
 def test_a_network_tells_its_errors():
     class Header:
-        degrees_of_freedom = (4.5, 3.25)
+        config = PolarPoseConfig(degrees_of_freedom=(4.5, 3.25))
         tracking: ClassVar = {"attitude_angle": 18.0}
 
     assert Settings.of(Header) == Settings(tails=3.25, attitude_angle=18)
-    Header.tracking, Header.degrees_of_freedom = None, None
+    Header.tracking, Header.config = None, PolarPoseConfig()
     assert Settings.of(Header) == Settings()
     Header.tracking = {"angle": 1.0}
     with pytest.raises(ValueError, match="tracking: expected fields of Settings, got angle"):

@@ -147,7 +147,12 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path, capsys):
 
 
 def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(tmp_path, rendered):
-    fields = {"image_size": [96, 128], "dim": 16, "head_hidden": 16, "backbone": "compact_resnet"}
+    fields = {
+        "image_size": [96, 128],
+        "dim": 16,
+        "head_hidden": 16,
+        "backbone": "compact_resnet_narrow",
+    }
     config = scenes_config(
         tmp_path / "images", tmp_path / "run", model="tiny", model_fields=fields, epochs=1
     )

@@ -19,7 +19,6 @@ __all__ = [
     "PoseNetConfig",
     "UrsoNetConfig",
     "config_type",
-    "degrees_of_freedom",
     "looks_twice",
 ]
 
@@ -52,11 +51,3 @@ def config_type(architecture: str) -> type[NetworkConfig]:
 def looks_twice(config: NetworkConfig) -> TypeGuard[PolarPoseConfig]:
     """Return whether the network takes a second look, through a virtual camera."""
     return isinstance(config, PolarPoseConfig)
-
-
-def degrees_of_freedom(config: NetworkConfig) -> tuple[float, float] | None:
-    """Return those of the errors' t distributions; None for Gaussian errors and for no covariances.
-
-    They are of translation and rotation (`PolarPoseConfig.degrees_of_freedom`).
-    """
-    return config.degrees_of_freedom if looks_twice(config) else None

@@ -15,7 +15,7 @@ from ffpose.config.network import FrameConfig
 from ffpose.errors import expect
 
 Pooling = Literal["token", "mean"]
-OrientationHead = Literal["quaternion", "6d", "bins"]
+OrientationHead = Literal["quaternion", "bins"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FilterformerPoseConfig(FrameConfig):
         head_hidden: Hidden width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
         orientation_mlp_dim: Width of the generated perceptron for orientation (Table 1).
-        orientation_head: ``"quaternion"`` (the paper's), ``"6d"`` or ``"bins"``, see
+        orientation_head: ``"quaternion"`` (the paper's) or ``"bins"``, see
             `ffpose.nn.orientation`.
         bins: Number of attitudes of the head ``"bins"``.
         bins_degree: Largest degree of its harmonics of SO(3).

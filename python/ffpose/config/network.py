@@ -79,6 +79,11 @@ class NetworkConfig:
         return None
 
     @property
+    def degrees_of_freedom(self) -> tuple[float, float] | None:
+        """Those of the t distributions of translation and rotation errors; None for Gaussians."""
+        return None
+
+    @property
     def view_camera(self) -> Camera | None:
         """Camera of the network's input; None if unknown."""
         if self.camera is None:

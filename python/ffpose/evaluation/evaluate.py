@@ -358,7 +358,7 @@ def evaluate(
     }
     predicted = np.concatenate([outputs.pop(name) for name in PosePrediction._fields], axis=1)
     told: dict[str, Any] = {**outputs}
-    told["degrees_of_freedom"] = metadata.degrees_of_freedom
+    told["degrees_of_freedom"] = metadata.config.degrees_of_freedom
     told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
     told["unfolded"] = unfolded
     told["in_view_threshold"] = metadata.in_view_threshold

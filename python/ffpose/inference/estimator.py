@@ -124,7 +124,7 @@ class PoseEstimator:
             **self.run(inputs, points),
             locates=self.metadata.locates,
             in_view_threshold=self.metadata.in_view_threshold,
-            degrees_of_freedom=self.metadata.degrees_of_freedom,
+            degrees_of_freedom=self.metadata.config.degrees_of_freedom,
         )
 
     def run(

@@ -16,10 +16,7 @@ from torch.nn import functional as F
 
 REDUCTIONS = (4, 8, 16)
 
-WIDTHS = {
-    "compact_resnet": (16, 48, 96, 144),
-    "compact_resnet_narrow": (16, 32, 64, 96),
-}
+WIDTHS = {"compact_resnet_narrow": (16, 32, 64, 96)}
 """Channels of the stem and of the maps of `REDUCTIONS`, by name."""
 
 

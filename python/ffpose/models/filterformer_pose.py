@@ -23,12 +23,7 @@ from ffpose.config import FilterformerPoseConfig
 from ffpose.models.backbone import Backbone, build_backbone
 from ffpose.models.base import FrameNetwork
 from ffpose.nn import Filterformer, HyperHead, PositionCode
-from ffpose.nn.orientation import (
-    BinsHead,
-    OrientationHead,
-    QuaternionHead,
-    SixNumbersHead,
-)
+from ffpose.nn.orientation import BinsHead, OrientationHead, QuaternionHead
 
 TOKEN_STD = 0.02
 
@@ -78,22 +73,6 @@ class PoseBranch(nn.Module):
         return result
 
 
-def hyper_head(config: FilterformerPoseConfig, out_features: int, mlp_dim: int) -> HyperHead:
-    """Build a hypernetwork head on a branch's latent vector."""
-    return HyperHead(config.dim, out_features, hidden=config.head_hidden, mlp_dim=mlp_dim)
-
-
-def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
-    """Build the orientation head that ``config.orientation_head`` names."""
-    match config.orientation_head:
-        case "quaternion":
-            return QuaternionHead()
-        case "6d":
-            return SixNumbersHead()
-        case _:
-            return BinsHead(config.bins, config.bins_degree, config.bins_width_deg)
-
-
 class FilterformerPose(FrameNetwork):
     """Pose network; `from_config` builds it with its backbone, `from_pretrained` reads a file.
 
@@ -118,12 +97,16 @@ class FilterformerPose(FrameNetwork):
     def __init__(self, config: FilterformerPoseConfig, backbone: Backbone) -> None:
         super().__init__(config)
         self.backbone = backbone
-        self.orientation = build_orientation_head(config)
+        self.orientation: OrientationHead = (
+            BinsHead(config.bins, config.bins_degree, config.bins_width_deg)
+            if config.orientation_head == "bins"
+            else QuaternionHead()
+        )
         self.translation_branch = PoseBranch(
             config,
             backbone.channels[0],
             config.grid(config.translation_reduction),
-            hyper_head(config, 3, config.translation_mlp_dim),
+            HyperHead(config.dim, 3, hidden=config.head_hidden, mlp_dim=config.translation_mlp_dim),
         )
         self.orientation_branch = PoseBranch(
             config,
@@ -134,16 +117,17 @@ class FilterformerPose(FrameNetwork):
 
     def _orientation_output(self) -> nn.Module:
         """Build the module from the orientation branch's latent vector to its outputs."""
-        config, features, start = self.config, self.orientation.features, self.orientation.start
-        if start is None:
+        config, features = self.config, self.orientation.features
+        if config.orientation_head == "bins":
             return nn.Sequential(
                 nn.Linear(config.dim, config.head_hidden),
                 nn.GELU(),
                 nn.Linear(config.head_hidden, features),
             )
-        head = hyper_head(config, features, config.orientation_mlp_dim)
+        hidden, mlp_dim = config.head_hidden, config.orientation_mlp_dim
+        head = HyperHead(config.dim, features, hidden=hidden, mlp_dim=mlp_dim)
         with torch.no_grad():
-            head.bias.copy_(torch.tensor(start))
+            head.bias.copy_(torch.tensor(QuaternionHead.start))
         return head
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,7 +6,7 @@ the same seed would then give another network.
 The cache is checked first, then the hub is asked for the file's header with a timeout of seconds; a
 download has a timeout as well. ``HF_HUB_OFFLINE=1`` uses the cache alone. Repositories in `PINNED`
 give the bytes that are known, whatever their owner uploads; of others, the newest revision is
-taken, and `Pretrained.revision` says which that was.
+taken, and `BackboneSource` says which that was.
 """
 
 from __future__ import annotations
@@ -67,16 +67,11 @@ independently, with the digest that the hub has of the file.
 """
 
 
-class Pretrained(NamedTuple):
-    """Weights in the cache: the hub's name ``timm/…``, commit of the repository, and file."""
-
-    repository: str
-    revision: str
-    path: Path
-
-
-def find_pretrained(name: str) -> Pretrained:
+def find_pretrained(name: str) -> tuple[Path, dict[str, str]]:
     """Find timm's pretrained weights of a model in the cache, or download them.
+
+    Returns:
+        The file, and its ``source``, the hub's name ``timm/…``, and ``revision``, the commit.
 
     Raises:
         FileNotFoundError: They cannot be had; the message says what happened and the alternatives.
@@ -95,7 +90,7 @@ def find_pretrained(name: str) -> Pretrained:
         raise DataError(
             f"expected {repository} at {pin.commit}, SHA-256 {pin.sha256}, got {got}", path
         )
-    return Pretrained(repository, Path(path).parent.name, Path(path))
+    return Path(path), {"source": repository, "revision": Path(path).parent.name}
 
 
 def _download(name: str, repository: str, revision: str) -> str:
@@ -177,8 +172,7 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
         return "none"
     path, origin = Path(weights), {"source": Path(weights).name}
     if weights == "auto":
-        found = find_pretrained(name)
-        path, origin = found.path, {"source": found.repository, "revision": found.revision}
+        path, origin = find_pretrained(name)
     state = read_state(path)
     wanted = features.state_dict()
     wrong = [

@@ -39,6 +39,7 @@ from ffpose.models.second_look import (
 )
 from ffpose.models.virtual_camera import (
     VirtualCamera,
+    chosen,
     downsampled,
     pyramid,
     render_virtual,
@@ -121,7 +122,7 @@ class PolarPose(BaseNetwork):
             weight = torch.where(rival, log_mass, kept)
             likelihood = _log_likelihood(weight, found)
             taken = ~rival | (likelihood > score)
-            look, kept = found.where(taken, look), torch.where(taken, weight, kept)
+            look, kept = chosen(taken, found, look), torch.where(taken, weight, kept)
             score = torch.where(taken, likelihood, score)
         if self.config.looks == 1:
             return calibrated(self._pose(look), self.config)

@@ -46,7 +46,7 @@ class PoseNet(FrameNetwork):
         self.translation_branch = nn.Linear(backbone.channels[0], 3)
         self.orientation_branch = nn.Linear(backbone.channels[0], self.orientation.features)
         with torch.no_grad():
-            self.orientation_branch.bias.copy_(torch.tensor(self.orientation.start))
+            self.orientation_branch.bias.copy_(torch.tensor(QuaternionHead.start))
 
     @classmethod
     def build(cls, config: PoseNetConfig, backbone_weights: str | Path) -> Self:

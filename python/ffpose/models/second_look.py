@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from ffpose._internal.torch_internals import constant
 from ffpose.config import PolarPoseConfig
 from ffpose.models.base import UncertainPose
-from ffpose.models.virtual_camera import VirtualCamera, chosen
+from ffpose.models.virtual_camera import VirtualCamera
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
@@ -61,18 +61,11 @@ class SecondLookOutput(NamedTuple):
 
     def of(self, rows: Tensor) -> SecondLookOutput:
         """Return the output of some views, ``rows`` being indices or a mask."""
-        return self._each(lambda part: part[rows])
-
-    def where(self, taken: Tensor, other: SecondLookOutput) -> SecondLookOutput:
-        """Return this output where ``taken (B,)`` is true, and ``other`` where it is not."""
-        return self._each(lambda a, b: chosen(taken, a, b), other)
+        return SecondLookOutput(*(part[rows] for part in self))
 
     def float(self) -> SecondLookOutput:
         """Return the output in float32."""
-        return self._each(Tensor.float)
-
-    def _each(self, change: Callable[..., Tensor], *others: SecondLookOutput) -> SecondLookOutput:
-        return SecondLookOutput(*map(change, self, *others))
+        return SecondLookOutput(*map(Tensor.float, self))
 
 
 def half_in_learned_parts(predict: Predict) -> Predict:
@@ -205,12 +198,6 @@ class SecondLook(NamedTuple):
     view: VirtualCamera
     point: Tensor
     place: Tensor
-
-    def where(self, taken: Tensor, other: SecondLook) -> SecondLook:
-        """Return these looks where ``taken (B,)`` is true, and ``other`` where it is not."""
-        output, view = self.output.where(taken, other.output), self.view.where(taken, other.view)
-        points = (chosen(taken, *pair) for pair in zip(self[2:], other[2:], strict=True))
-        return SecondLook(output, view, *points)
 
 
 def placed(output: SecondLookOutput, view: VirtualCamera) -> SecondLook:

@@ -20,7 +20,7 @@ columns (Esteves et al., "Polar Transformer Networks", ICLR 2018).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -65,19 +65,11 @@ class VirtualCamera(NamedTuple):
 
     def of(self, rows: Tensor | slice) -> VirtualCamera:
         """Return the cameras of some rows of the batch: indices, a mask or a slice."""
-        return self._each(lambda part: part[rows])
-
-    def where(self, taken: Tensor, other: VirtualCamera) -> VirtualCamera:
-        """Return these cameras where ``taken (B,)`` is true, and ``other`` where it is not."""
-        return self._each(lambda a, b: chosen(taken, a, b), other)
-
-    def _each(self, change: Callable[..., Tensor], *others: VirtualCamera) -> VirtualCamera:
-        cameras = (self, *others)
         return self._replace(
-            rotation=change(*(camera.rotation for camera in cameras)),
-            quaternion=change(*(camera.quaternion for camera in cameras)),
-            focal=change(*(camera.focal for camera in cameras)),
-            distance=change(*(camera.distance for camera in cameras)),
+            rotation=self.rotation[rows],
+            quaternion=self.quaternion[rows],
+            focal=self.focal[rows],
+            distance=self.distance[rows],
         )
 
     def resized(self, size: tuple[int, int]) -> VirtualCamera:
@@ -118,9 +110,16 @@ class VirtualCamera(NamedTuple):
         return F.normalize(turned, dim=-1)  # for runtimes that multiply in bfloat16
 
 
-def chosen(taken: Tensor, these: Tensor, others: Tensor) -> Tensor:
-    """Return the rows of ``these (B, ...)`` where ``taken (B,)`` is true, else of ``others``."""
-    return torch.where(taken.view(-1, *(1,) * (these.ndim - 1)), these, others)
+def chosen(taken: Tensor, these: Any, others: Any) -> Any:
+    """Return the rows of ``these`` where ``taken (B,)`` is true, else of ``others``.
+
+    Both are tensors ``(B, ...)``, or named tuples of them; what is neither is the same in both.
+    """
+    if isinstance(these, Tensor):
+        return torch.where(taken.view(-1, *(1,) * (these.ndim - 1)), these, others)
+    if hasattr(these, "_fields"):
+        return type(these)(*(chosen(taken, *pair) for pair in zip(these, others, strict=True)))
+    return these
 
 
 def toward(directions: Tensor) -> Tensor:

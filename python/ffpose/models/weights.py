@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from ffpose import __version__
 from ffpose._internal.files import atomic_write, sha256, write_text
 from ffpose._internal.zoo import resolve
-from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
+from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import SymmetryGroup
@@ -102,11 +102,6 @@ class WeightsMetadata:
     def symmetry(self) -> SymmetryGroup:
         """The rotations that labels of the training were modulo."""
         return SymmetryGroup.from_json((self.recipe or {}).get("symmetry") or [])
-
-    @property
-    def degrees_of_freedom(self) -> tuple[float, float] | None:
-        """Degrees of freedom of the errors (`ffpose.config.degrees_of_freedom`)."""
-        return degrees_of_freedom(self.config)
 
     @property
     def mean_pose(self) -> NDArray[np.float64] | None:

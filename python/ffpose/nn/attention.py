@@ -43,7 +43,8 @@ class _DropoutAttention(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, query: Tensor, key: Tensor, value: Tensor, kept: int) -> Tensor:
-        scaled, keys, values = (x.flatten(0, 1) for x in (query * _scale(query), key, value))
+        scale = query.shape[-1] ** -0.5
+        scaled, keys, values = (x.flatten(0, 1) for x in (query * scale, key, value))
         result = query.new_empty(*scaled.shape[:2], values.shape[2])
         mask = torch.empty(*scaled.shape[:2], keys.shape[1], dtype=torch.bool)
         for part in _blocks(mask):
@@ -75,16 +76,11 @@ class _DropoutAttention(torch.autograd.Function):
                 scores.mul_(factors).sub_(products[part]).mul_(weights)
                 torch.bmm(scores, keys[part], out=of_query[part])
                 torch.bmm(scores.mT, scaled[part], out=of_key[part])
-        of_query *= _scale(scaled)
+        of_query *= scaled.shape[-1] ** -0.5
         of_query, of_key, of_value = (
             x.view(*lead, *x.shape[1:]) for x in (of_query, of_key, of_value)
         )
         return of_query, of_key, of_value, None
-
-
-def _scale(query: Tensor) -> float:
-    scale: float = query.shape[-1] ** -0.5
-    return scale
 
 
 def _weights(scaled: Tensor, keys: Tensor) -> Tensor:

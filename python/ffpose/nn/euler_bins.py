@@ -36,7 +36,6 @@ class EulerBinsHead(nn.Module):
         smoothing: Width of the soft assignment in bins.
     """
 
-    start = None
     bins: Tensor
     outer: Tensor
 

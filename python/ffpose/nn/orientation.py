@@ -1,9 +1,6 @@
 """Orientation heads: representations of an attitude by the outputs of a network, and their losses.
 
 * ``"quaternion"``: a normalized quaternion (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
-* ``"6d"``: two columns of the rotation matrix, orthonormalized by Gram-Schmidt; continuous over all
-  rotations, which a quaternion cannot be (Zhou et al., "On the Continuity of Rotation
-  Representations in Neural Networks", CVPR 2019).
 * ``"bins"``: logits over some thousand attitudes, trained with soft labels (soft classification;
   Proenca and Gao, "Deep Learning for Spacecraft Pose Estimation from Photorealistic Rendering",
   ICRA 2020). The distribution can have several modes, as needed for a symmetric spacecraft in bad
@@ -27,7 +24,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.errors import expect
-from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.ops import normalize_quaternion
 
 NEIGHBORHOOD_DEG = 40.0
@@ -71,10 +67,6 @@ class OrientationHead(Protocol):
 
     features: int
 
-    @property
-    def start(self) -> tuple[float, ...] | None:
-        """Outputs that decode to the identity, for the initial bias; None for any."""
-
     def decode(self, raw: Tensor) -> Tensor:
         """Return unit quaternions ``(B, 4)`` for the head's outputs ``(B, features)``."""
 
@@ -103,22 +95,6 @@ class QuaternionHead(nn.Module):
         return torch.minimum((q - q_hat).norm(dim=-1), (q + q_hat).norm(dim=-1))
 
 
-class SixNumbersHead(nn.Module):
-    """Two columns of the rotation matrix; the loss is the chordal distance of the matrices."""
-
-    features = 6
-    start = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-
-    def decode(self, raw: Tensor) -> Tensor:
-        """Return unit quaternions ``(B, 4)`` for ``raw (B, 6)``."""
-        return matrix_to_quaternion(orthonormalized(raw))
-
-    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
-        """Return the Frobenius norm of the matrices' difference for each sample ``(B,)``."""
-        difference = quaternion_to_matrix(q) - orthonormalized(raw)
-        return (difference.flatten(1).square().sum(-1) + 1e-6).sqrt()
-
-
 class BinsHead(nn.Module):
     """Band-limited logits over attitudes spread evenly over SO(3); 8,000 are 9 degrees apart.
 
@@ -128,7 +104,6 @@ class BinsHead(nn.Module):
         ValueError: There are fewer attitudes than coefficients.
     """
 
-    start = None
     bins: Tensor
     outer: Tensor
     basis: Tensor
@@ -149,26 +124,18 @@ class BinsHead(nn.Module):
         return raw @ self.basis
 
     def decode(self, raw: Tensor) -> Tensor:
-        """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
-        return mean_near_mode(self.logits(raw), self.bins, self.outer)
+        """Return unit quaternions ``(B, 4)``: the mean within `NEIGHBORHOOD_DEG` of the mode."""
+        p = self.logits(raw).softmax(-1)
+        mode = self.bins[p.argmax(-1)]  # (B, 4)
+        near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
+        matrix = torch.unflatten((p * near) @ self.outer, 1, (4, 4))  # sum of p q qT
+        return mean_quaternion(matrix, mode, NEAR_SQUARINGS)
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""
         angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
         target = (-(angle / self.width).square() / 2).softmax(-1)
         return -(target * self.logits(raw).log_softmax(-1)).sum(-1)
-
-
-def mean_near_mode(logits: Tensor, bins: Tensor, outer: Tensor) -> Tensor:
-    """Return the mean ``(B, 4)`` of the attitudes within `NEIGHBORHOOD_DEG` of the most likely.
-
-    ``outer (bins, 16)`` are the products ``q qT`` of the bins.
-    """
-    p = logits.softmax(-1)
-    mode = bins[p.argmax(-1)]  # (B, 4)
-    near = (mode @ bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
-    matrix = torch.unflatten((p * near) @ outer, 1, (4, 4))  # sum of p q qT
-    return mean_quaternion(matrix, mode, NEAR_SQUARINGS)
 
 
 def mean_quaternion(matrix: Tensor, start: Tensor, squarings: int = POWER_SQUARINGS) -> Tensor:
@@ -233,11 +200,3 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
     orthonormal, triangular = torch.linalg.qr(torch.stack(columns, dim=1))
     result: Tensor = orthonormal * triangular.diagonal().sign() * math.sqrt(len(q))
     return result
-
-
-def orthonormalized(raw: Tensor) -> Tensor:
-    """Orthonormalize two columns ``raw (B, 6)`` to rotation matrices ``(B, 3, 3)``."""
-    first = F.normalize(raw[:, :3], dim=-1)
-    second = raw[:, 3:] - (first * raw[:, 3:]).sum(-1, keepdim=True) * first
-    second = F.normalize(second, dim=-1)
-    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)

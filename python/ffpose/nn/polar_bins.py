@@ -62,7 +62,6 @@ class PolarBinsHead(nn.Module):
         features: Number of inputs, ``A * latent``.
     """
 
-    start = None
     halves: Tensor
     squares: Tensor
     ends: Tensor

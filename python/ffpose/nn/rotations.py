@@ -11,7 +11,6 @@ import itertools
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from ffpose._internal.torch_internals import constant
 
@@ -58,20 +57,6 @@ def _tables() -> tuple[Tensor, Tensor]:
 PRODUCTS, MATRICES = _tables()
 
 
-def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Return unit quaternions ``(B, 4)`` of rotation matrices ``(B, 3, 3)``, of either sign.
-
-    Of the four expressions for the quaternion times one of its own entries, the one with the
-    largest entry is used for each matrix, so that no division is by a small number.
-    """
-    products = matrix.flatten(1) @ MATRICES.mT.to(matrix, non_blocking=True)
-    one = torch.eye(4, dtype=matrix.dtype, device=matrix.device)
-    rows = torch.unflatten(products, 1, (4, 4)) + one  # row i is 4 q_i q
-    best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
-    row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
-    return F.normalize(row, dim=-1)
-
-
 def rotation_vector(difference: Tensor) -> Tensor:
     """Convert unit quaternions ``(B, 4)`` to rotation vectors ``(B, 3)``, radians."""
     q = torch.where(difference[:, :1] < 0, -difference, difference)
@@ -88,11 +73,6 @@ def nearest_equivalent(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
     between = quaternion_product(conjugate(q), q_hat)
     chosen = rotations[(between @ rotations.mT).abs().argmax(dim=1)]
     return quaternion_product(q, chosen)
-
-
-def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
-    """Return the rotations ``q_to conj(q_from)`` of unit quaternions ``(B, 4)``."""
-    return quaternion_product(q_to, conjugate(q_from))
 
 
 def conjugate(q: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ffpose import __version__
-from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
+from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
@@ -75,11 +75,6 @@ class ModelMetadata:
     tracking: Mapping[str, float] | None = None
     symmetry: SymmetryGroup = IDENTITY
 
-    @property
-    def degrees_of_freedom(self) -> tuple[float, float] | None:
-        """Degrees of freedom of the errors (`ffpose.config.degrees_of_freedom`)."""
-        return degrees_of_freedom(self.config)
-
     def to_entries(self) -> dict[str, str]:
         """Return the entries, without the checksum."""
         view = self.config.view_camera
@@ -88,7 +83,7 @@ class ModelMetadata:
             "camera": None if self.camera is None else asdict(self.camera),
             "view_camera": None if view is None else asdict(view),
             "in_view_threshold": self.in_view_threshold,
-            "degrees_of_freedom": self.degrees_of_freedom,
+            "degrees_of_freedom": self.config.degrees_of_freedom,
         }
         int8 = {
             "precision": self.precision,

@@ -20,7 +20,6 @@ from ffpose.models import PolarPose, PosePrediction, WeightsMetadata, open_weigh
 from ffpose.models.base import UncertainPose
 from ffpose.models.polar_pose import NearPoint
 from ffpose.onnx.exporter import (
-    TOLERANCE,
     Exported,
     FilterChoice,
     Outputs,
@@ -32,10 +31,6 @@ from ffpose.onnx.metadata import Filter, ModelMetadata
 
 BATCHES = (2, 1, 3)
 """Sizes of the batches that graph and network are compared on; the first is exported with."""
-
-INPUT_NAMES = ["images"]
-POINT_NAMES = ["images", "point"]
-"""Names of a graph's inputs, and of one that takes the point where to look."""
 
 PATCHES = 8
 """Number of patches along each side of a random image."""
@@ -55,7 +50,6 @@ def export_weights(
     *,
     takes_point: bool = False,
     track_sha256: str | None = None,
-    tolerance: float = TOLERANCE,
     say: Say = lambda _: None,
     **fields: Any,
 ) -> Exported:
@@ -98,9 +92,8 @@ def export_weights(
             weights, source, takes_point=takes_point, track_sha256=track_sha256, **fields
         ),
         partial(pose_differences, doubt_sigma=doubt_sigma),
-        input_names=POINT_NAMES if takes_point else INPUT_NAMES,
+        input_names=["images", "point"] if takes_point else ["images"],
         output_names=output_names(source.config),
-        tolerance=tolerance,
         say=say,
     )
 

@@ -115,8 +115,9 @@ class Settings:
             }
             if unknown := told.keys() - {field.name for field in fields(cls)}:
                 raise ValueError(f"{source}: expected fields of Settings, got {', '.join(unknown)}")
-        if network.degrees_of_freedom is not None:
-            told = {"tails": min(network.degrees_of_freedom), **told}
+        degrees = network.config.degrees_of_freedom
+        if degrees is not None:
+            told = {"tails": min(degrees), **told}
         return cls(**told)
 
 

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import PolarPose
 from ffpose.models.second_look import SecondLookOutput, sigma_loss
-from ffpose.nn.rotations import nearest_equivalent, rotation_between, rotation_vector
+from ffpose.nn.rotations import conjugate, nearest_equivalent, quaternion_product, rotation_vector
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.losses import LossTerms
 from ffpose.training.patches import PatchBatch
@@ -93,7 +93,7 @@ class ObjectObjective(nn.Module):
         cosine = (q_hat * truth).sum(-1)  # of half the angle, whose sine pulls evenly
         angle = (1 - cosine.square() + 1e-6).clamp_min(1e-6).sqrt().mean()
         with torch.no_grad():
-            turned = rotation_vector(rotation_between(q_hat, truth))
+            turned = rotation_vector(quaternion_product(truth, conjugate(q_hat)))
             residual = torch.cat((error, turned), dim=1)
         sigma = sigma_loss(shown, residual).mean()
         in_view = F.binary_cross_entropy_with_logits(numbers.in_view, present.float())

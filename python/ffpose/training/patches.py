@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from ffpose.geometry.rotations import rotation_matrix
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
@@ -44,7 +43,7 @@ from ffpose.models.virtual_camera import (
     toward,
     turned_about_axis,
 )
-from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.nn.rotations import quaternion_product, quaternion_to_matrix
 from ffpose.render.shading.sensor import through_jpeg
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
@@ -189,8 +188,7 @@ class PatchBatches:
         self.photometry = Photometry(augmentation, std, device)
         self.together = device.type != "cpu"
         self.keypoints = torch.from_numpy(keypoints).float().to(device)
-        rotations = rotation_matrix(symmetry.rotations)
-        self.symmetries = torch.from_numpy(rotations).float().to(device)
+        self.symmetries = torch.from_numpy(symmetry.rotations).float().to(device)
         self.references = torch.from_numpy(symmetry.references).float().to(device)
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
@@ -292,13 +290,13 @@ class PatchBatches:
         generator = torch.Generator(device).manual_seed(stored.seed)
         frames, t_frame, windows, coordinates, labels = (part.to(device) for part in stored[:5])
         frames, t_frame = self._turned_frames(_images(frames), t_frame, generator)
-        t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
+        t, q = labels[:, :3], labels[:, 3:7]
         present = torch.arange(count, device=device) >= stored.negatives
         points = self._looked_at(t, present, generator)
         shares = torch.rand(count, generator=generator, device=device)
         view = self.model.view_at(points, math.radians(a.twist_deg) * (2 * shares - 1))
-        turn = self._canonical(view.rotation @ rotation)
-        rotation = rotation @ turn
+        symmetry = self._canonical(view.rotation @ quaternion_to_matrix(q))
+        q, turn = quaternion_product(q, symmetry), quaternion_to_matrix(symmetry)
         intrinsics = labels[:, 7:11]
         no_scenes = count - len(windows)
         pixels = source_pixels(view.of(slice(no_scenes, None)), intrinsics[no_scenes:])
@@ -311,16 +309,16 @@ class PatchBatches:
             t_frame,
             crops.contiguous(memory_format=torch.channels_last),
             view.tan_half_angle,
-            matrix_to_quaternion(view.rotation @ rotation),
+            quaternion_product(view.quaternion, q),
             offset_of(view.points(t), view),
             self._coordinates(coordinates, view, intrinsics, turn),
-            view.places(t[:, None] + self.keypoints @ rotation.mT),
+            view.places(t[:, None] + self.keypoints @ quaternion_to_matrix(q).mT),
             present,
             stored.index,
         )
 
     def _canonical(self, rotation: Tensor) -> Tensor:
-        """Return the symmetries ``(B, 3, 3)`` after which views have their canonical label.
+        """Return the symmetries ``(B, 4)`` after which views have their canonical label.
 
         Args:
             rotation: ``(B, 3, 3)``, from the object's frame to the virtual camera's.
