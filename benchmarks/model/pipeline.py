@@ -48,7 +48,7 @@ class Pipeline:
 
     @classmethod
     def of(cls, network: Path, threads: int | None = None) -> Pipeline:
-        """Return that of a graph, or of weights with as many threads as torch has by default."""
+        """Return that of a graph, or of weights: with as many threads as torch has, unless told."""
         estimator = load(network, threads=threads, device="cpu")
         return cls(estimator.preprocess, estimator.run)
 

@@ -79,6 +79,7 @@ class QuaternionHead(nn.Module):
 
     features = 4
     start = (1.0, 0.0, 0.0, 0.0)
+    """Outputs that decode to the identity, for the initial bias."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,11 +1,12 @@
 """Static quantization of the costly operators of a graph to int8.
 
 Convolutions and products with constant matrices on the right, in the backbone and the branches,
-become int8: weights by channel, activations by the range that calibration images show, after a ReLU
-that follows. Products write float32 where no other reads integers. Spectral filters,
-normalizations, heads and the geometry of a second look stay float32; so do products with a matrix
-on the left, which ONNX Runtime before 1.32 cannot scale by channel. Written as pairs of
-QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into integer operators.
+become int8 if they have `LEAST_WEIGHTS`: weights by channel, activations by the range that
+calibration images show, after a ReLU that follows. Products write float32 where no other reads
+integers. Spectral filters, normalizations, heads and the geometry of a second look stay float32; so
+do products with a matrix on the left, which ONNX Runtime before 1.32 cannot scale by channel.
+Written as pairs of QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into
+integer operators.
 """
 
 from __future__ import annotations
@@ -67,7 +68,10 @@ def quantize(
         if node.name in wanted and math.prod(weights.get(node.input[1], (0,))) >= LEAST_WEIGHTS
     ]
     if not nodes:
-        raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
+        raise RuntimeError(
+            f"int8: expected a graph with {', '.join(OPERATORS)} of {LEAST_WEIGHTS} weights or"
+            " more, got none"
+        )
     _separate_weights(model.graph, set(nodes))
     outputs = {node.output[0] for node in model.graph.node if node.name in nodes}
     fused = [

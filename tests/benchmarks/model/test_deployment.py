@@ -209,8 +209,8 @@ def test_pipelines_and_a_new_process_give_one_pose(tmp_path):
     assert 1e7 < cold.peak_bytes < 1e9
     found = []
     for pipeline in (
-        Pipeline.of_weights(measured.weights),
-        Pipeline.of_graph(graphs["matmul"].path, 1),
+        Pipeline.of(measured.weights),
+        Pipeline.of(graphs["matmul"].path, 1),
     ):
         found.append(pipeline.run(pipeline.preprocess(image)[None]))
         assert len(pipeline.times(tmp_path / "a.png")) == len(STAGES)
