@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
+from safetensors.torch import load_file
 
 import ffpose
 from ffpose import DataError
@@ -55,6 +56,18 @@ def path(model, tmp_path):
     path = tmp_path / "weights.safetensors"
     model.save_pretrained(path, preprocessing=PREPROCESSING)
     return path
+
+
+def test_float16_keeps_tensors_beyond_its_range(tmp_path):
+    """Its largest number is 65,504: variances of batch norms may be larger."""
+    model, path = build().eval(), tmp_path / "half.safetensors"
+    names = [name for name, _ in model.named_buffers() if name.endswith("running_var")]
+    model.get_buffer(names[0]).fill_(70_000.0)
+    model.save_pretrained(path, dtype=torch.float16)
+    saved = load_file(path)
+    assert [saved[name].dtype for name in names[:2]] == [torch.float32, torch.float16]
+    read = load_network(path).get_buffer(names[0])
+    torch.testing.assert_close(read, model.get_buffer(names[0]), rtol=0, atol=0)
 
 
 def rewrite_header(path, change):

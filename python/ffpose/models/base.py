@@ -181,7 +181,8 @@ class BaseNetwork(nn.Module, ABC):
             data: Training data.
             in_view_threshold: Probability of being in view below which an image is flagged.
             dtype: Dtype of the floating-point tensors in the file. float16 halves its size and
-                keeps about three decimal digits; tensors are read back as float32.
+                keeps about three decimal digits; tensors with numbers beyond its range keep their
+                own. All are read back as float32.
 
         Raises:
             ValueError: The output size of the preprocessing is not ``config.image_size``, or a
@@ -195,10 +196,7 @@ class BaseNetwork(nn.Module, ABC):
         metadata = WeightsMetadata(
             self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
         )
-        state = {
-            name: tensor.to(dtype) if tensor.is_floating_point() else tensor
-            for name, tensor in self.state_dict().items()
-        }
+        state = {name: _narrowed(tensor, dtype) for name, tensor in self.state_dict().items()}
         write_weights(path, state, metadata)
 
     @classmethod
@@ -268,3 +266,11 @@ class FrameNetwork(BaseNetwork):
     def in_meters(self, output: Tensor) -> Tensor:
         """Return translations ``(B, 3)``, meters, for the outputs of the translation branch."""
         return output * self.translation_std + self.translation_mean
+
+
+def _narrowed(tensor: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return a tensor of floats in a dtype, or as it is if that makes infinity of a number."""
+    if not tensor.is_floating_point():
+        return tensor
+    narrow = tensor.to(dtype)
+    return narrow if torch.equal(narrow.isfinite(), tensor.isfinite()) else tensor
