@@ -101,20 +101,10 @@ ort: tools ## build the operator for ONNX Runtime into the package; installing f
 onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
 	cargo build $(ONBOARD)
 
-weights: runs/soyuz-monochrome/.trained runs/dragon-monochrome/.trained runs/generic.safetensors ## train the shipped weights from nothing, hours; an interrupted training goes on
+weights: runs/soyuz/.trained runs/dragon/.trained runs/generic.safetensors ## train the shipped weights from nothing, hours; an interrupted training goes on
 
-runs/generic.safetensors: runs/soyuz-dusk/.trained
-	$(BIN)/python -m studies.generic --out $@ --init runs/soyuz-dusk/last.safetensors
-
-runs/soyuz-more/.trained: runs/soyuz/.trained
-
-runs/soyuz-dusk/.trained: runs/soyuz-more/.trained
-
-runs/soyuz-monochrome/.trained: runs/soyuz-dusk/.trained
-
-runs/dragon-dusk/.trained: runs/dragon/.trained
-
-runs/dragon-monochrome/.trained: runs/dragon-dusk/.trained
+runs/generic.safetensors: runs/soyuz/.trained
+	$(BIN)/python -m studies.generic --out $@ --init runs/soyuz/last.safetensors
 
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume
