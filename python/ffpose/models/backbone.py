@@ -72,8 +72,8 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
         return _compact(name, reductions, weights)
     timm = require("timm", "pose")
     if not timm.is_model(name):
-        near = timm.list_models(f"*{name.split('_')[0]}*")[:8]
-        raise ValueError(f"backbone: expected a model of timm (such as {near}), got {name!r}")
+        near = ", ".join([*WIDTHS, *timm.list_models(f"*{name.split('_')[0]}*")[:8]])
+        raise ValueError(f"backbone: expected a model of timm or ours, as {near}; got {name!r}")
     available = timm.create_model(name, features_only=True).feature_info.reduction()
     missing = [reduction for reduction in reductions if reduction not in available]
     if missing:
