@@ -1,40 +1,17 @@
 """The attitude and the twist of the camera: none by cells of the last map, on any weights."""
 
-import math
-
 import pytest
 import torch
 
 from benchmarks import twist
 from benchmarks.__main__ import main
 from ffpose.models import build_network
-
-FIELDS = {
-    "image_size": (96, 128),
-    "camera": (64.0, 66.0, 64.0, 48.0),
-    "first_stride": 4,
-    "first_reduction": 4,
-    "object_size": (16, 96),
-    "object_width": 32,
-    "channels": (4, 8, 12),
-    "blocks": (1, 1),
-    "latent": 16,
-    "angles": 24,
-    "directions": 50,
-}
-CELL = 2 * math.pi / 12
+from polar_networks import CELL, build_polar
 
 
 @pytest.fixture
 def model():
-    torch.manual_seed(0)
-    model = build_network("polar", backbone_weights="none", **FIELDS).eval()
-    for module in model.modules():
-        if isinstance(module, torch.nn.Linear):
-            torch.nn.init.normal_(module.weight, std=1.5 * module.in_features**-0.5)
-    with torch.no_grad():
-        model.orientation.weight.normal_()
-    return model
+    return build_polar(first_channels=64)  # by whose draws a twist shows well
 
 
 def test_a_twist_by_cells_changes_nothing_and_another_something(model):

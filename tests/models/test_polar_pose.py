@@ -26,41 +26,14 @@ from ffpose.nn.rotations import quaternion_to_matrix
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch
-
-FIELDS = {
-    "image_size": (96, 128),
-    "camera": (64.0, 66.0, 64.0, 48.0),
-    "first_stride": 4,
-    "first_reduction": 4,
-    "first_channels": 16,
-    "object_size": (16, 96),
-    "object_width": 32,
-    "channels": (4, 8, 12),
-    "blocks": (1, 1),
-    "latent": 16,
-    "angles": 24,
-    "directions": 50,
-}
-CELL = 2 * math.pi / 12
-"""Angle of a cell of the last map."""
+from polar_networks import CELL, build_polar
 
 POINTS = torch.tensor([[1.0, -2.0, 14.0], [0.5, 1.0, 20.0], [-6.0, 3.0, 22.0]])
 
 
-def build(**fields):
-    torch.manual_seed(0)
-    model = build_network("polar", backbone_weights="none", **(FIELDS | fields)).eval()
-    for module in model.modules():  # so that nothing is nearly zero
-        if isinstance(module, torch.nn.Linear):
-            torch.nn.init.normal_(module.weight, std=1.5 * module.in_features**-0.5)
-    with torch.no_grad():
-        model.orientation.weight.normal_()
-    return model
-
-
 @pytest.fixture
 def model():
-    return build()
+    return build_polar()
 
 
 def images(count=3):
@@ -119,7 +92,7 @@ def test_logits_are_shifted_by_a_turn(model):
 
 def test_the_polar_view_shows_rays_at_their_angles():
     """A ray to the right is at angle zero, one below at a quarter of a turn."""
-    model = build(object_radius_m=5.0)
+    model = build_polar(object_radius_m=5.0)
     view = model.view_at(torch.tensor([[0.0, 0.0, 20.0]]))
     points = torch.tensor([[[2.5, 0.0, 20.0], [0.0, 5.0, 20.0], [-1.0, -1e-6, 20.0]]])
     expected = torch.tensor([[[0.0, 0.5], [0.25, 1.0], [0.5, 0.2]]])
@@ -255,7 +228,7 @@ def test_of_two_looks_that_do_not_agree_the_last_is_the_pose():
 
 
 def test_one_candidate_and_one_look_are_one_view(tmp_path):
-    model = build()
+    model = build_polar()
     model.save_pretrained(tmp_path / "polar.safetensors")
     quick = load_network(tmp_path / "polar.safetensors", looks=1, candidates=1)
     assert isinstance(quick, PolarPose)
@@ -422,7 +395,7 @@ def test_autocast_leaves_the_geometry_in_float32(model, monkeypatch):
 
 def test_an_exported_network_takes_batches_of_any_size():
     """With one look, as further ones repeat it; shipped networks are exported with all of them."""
-    model = build(looks=1, candidates=1)
+    model = build_polar(looks=1, candidates=1)
     shapes = ({0: torch.export.Dim("batch")},)
     program = torch.export.export(model, (images(2),), dynamic_shapes=shapes).module()
     for count in (1, 3):
@@ -431,7 +404,7 @@ def test_an_exported_network_takes_batches_of_any_size():
 
 
 def test_the_objective_trains_every_weight():
-    model = build().train()
+    model = build_polar().train()
     objective = ObjectObjective(model, ObjectLossConfig(keypoints=1.0), 3)
     assert objective.cells == (4, 24)
     both = torch.nn.ModuleList([model, objective])
@@ -517,7 +490,7 @@ def test_turned_attitudes_are_scipys(model):
 )
 def test_refused_fields(fields, text):
     with pytest.raises(ValueError, match=text):
-        build(**fields)
+        build_polar(**fields)
 
 
 def test_the_last_map_has_cells_of_fifteen_degrees():
@@ -527,7 +500,7 @@ def test_the_last_map_has_cells_of_fifteen_degrees():
 
 
 def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
-    model = build(looks=1, candidates=1)
+    model = build_polar(looks=1, candidates=1)
     levels, shown = pyramid(images()), images()
     with torch.no_grad():
         maps = model.locate(torch.nn.functional.avg_pool2d(shown, model.config.first_stride))
@@ -566,7 +539,7 @@ def test_truncation_is_the_share_of_a_view_beyond_the_frame(position, share):
 
 
 def test_the_uncertainty_grows_with_the_share_that_the_border_cuts_off():
-    plain, grown = build(), build(truncation_sigma=(6.0, 2.0))
+    plain, grown = build_polar(), build_polar(truncation_sigma=(6.0, 2.0))
     points = torch.tensor([[0.0, 0.0, 20.0], [-20.0, 3.0, 21.0], [4.0, 14.0, 20.0]])
     with torch.no_grad():
         got, expected = (each.predict_near(images(), points) for each in (grown, plain))
@@ -578,7 +551,7 @@ def test_the_uncertainty_grows_with_the_share_that_the_border_cuts_off():
 
 
 def test_what_the_border_cuts_comes_nearer():
-    plain, nearer = build(), build(truncation_distance=0.8)
+    plain, nearer = build_polar(), build_polar(truncation_distance=0.8)
     points = torch.tensor([[0.0, 0.0, 20.0], [-20.0, 3.0, 21.0], [4.0, 14.0, 20.0]])
     with torch.no_grad():
         got, expected = (each.predict_near(images(), points) for each in (nearer, plain))
@@ -590,7 +563,7 @@ def test_what_the_border_cuts_comes_nearer():
 
 def test_the_offset_of_a_look_at_a_point_is_divided_by_its_slopes():
     """Across and along the ray; attitude and covariances in the view stay."""
-    plain, mended = build(), build(look_slope=(0.5, 0.8))
+    plain, mended = build_polar(), build_polar(look_slope=(0.5, 0.8))
     with torch.no_grad():
         got, expected = (each.predict_near(images(), POINTS) for each in (mended, plain))
         view = plain.view_at(POINTS)
@@ -610,7 +583,7 @@ def test_the_offset_of_a_look_at_a_point_is_divided_by_its_slopes():
 
 def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
     """Variances times (1 + k (1 - p))², p being the probability of the attitude; poses stay."""
-    plain, grown = build(), build(doubt_sigma=(6.0, 2.0))
+    plain, grown = build_polar(), build_polar(doubt_sigma=(6.0, 2.0))
     with torch.no_grad():
         got, expected = grown(images()), plain(images())
     doubt = 1 - expected.probabilities[:, 0, None, None]
@@ -625,7 +598,7 @@ def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
 def test_one_look_is_less_certain_than_the_mean_of_two():
     """Where two looks make the pose, and calibration has scaled the covariance of their mean."""
     points = torch.tensor([[0.0, 1.0, 14.0], [2.0, -1.0, 18.0]])
-    once, twice = (build(looks=looks).predict_near(images(2), points) for looks in (1, 2))
+    once, twice = (build_polar(looks=looks).predict_near(images(2), points) for looks in (1, 2))
     for one, other in (
         (once.translation_covariance, twice.translation_covariance),
         (once.rotation_covariance, twice.rotation_covariance),

@@ -16,31 +16,15 @@ from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.follow import follow
 from ffpose.tracking.frames import Frame
+from polar_networks import build_polar
 
-FIELDS = {
-    "image_size": (96, 128),
-    "camera": (64.0, 66.0, 64.0, 48.0),
-    "first_stride": 4,
-    "first_reduction": 4,
-    "first_channels": 16,
-    "looks": 1,
-    "candidates": 1,
-    "object_size": (16, 96),
-    "object_width": 32,
-    "channels": (4, 8, 12),
-    "blocks": (1, 1),
-    "latent": 16,
-    "angles": 24,
-    "directions": 50,
-    "degrees_of_freedom": (5.0, 4.0),
-}
+ONE_LOOK = {"looks": 1, "candidates": 1, "degrees_of_freedom": (5.0, 4.0)}
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     path = tmp_path_factory.mktemp("look") / "small.safetensors"
-    torch.manual_seed(0)
-    build_network("polar", backbone_weights="none", **FIELDS).save_pretrained(path)
+    build_polar(**ONE_LOOK).save_pretrained(path)
     return path
 
 
