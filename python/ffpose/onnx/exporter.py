@@ -334,7 +334,7 @@ def _expect_names(
 def halve(model: Any) -> None:
     """Store as float16 those constants of an `onnx_ir.Model` that lose nothing by it, in place.
 
-    Shipped weights are such numbers. A node makes float32 of each, which runtimes compute as they
+    Nearly all shipped weights are such numbers. A node makes float32 of each, which runtimes compute as they
     load the graph, not as they run it.
     """
     ir, graph = require("onnx_ir", "export"), model.graph

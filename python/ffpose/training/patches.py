@@ -154,7 +154,7 @@ class PatchBatches:
 
     Args:
         model: The network; its configuration gives the geometry of both looks.
-        arrays: Patches of one or several sets, from `ffpose.imaging.patches.open_arrays`.
+        arrays: Patches of one or several sets, as `ffpose.imaging.patches` stores them.
         empty: Patches without an object; may be empty.
         augmentation: Ranges of the augmentation.
         std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
