@@ -258,7 +258,7 @@ impl Tracker {
                 self.propose(pose, &mut frame);
             }
         }
-        self.unite();
+        self.unite(&frame);
         self.choose();
         let unbelieved = match (measurement, poses) {
             (None, _) => Outcome::Coasted,
@@ -368,14 +368,17 @@ impl Tracker {
         frame.corrected[place] = true;
     }
 
-    /// Ends hypotheses that have become another one.
-    fn unite(&mut self) {
+    /// Ends hypotheses that have become another one: both believe the frame.
+    ///
+    /// Of two that are near each other only one may believe what comes, as where the light has changed and the network's error with it.
+    fn unite(&mut self, frame: &Frame) {
         for first in 0..HYPOTHESES {
             for second in first + 1..HYPOTHESES {
                 let (Some(a), Some(b)) = (&self.hypotheses[first], &self.hypotheses[second]) else {
                     continue;
                 };
-                if !a.filter.is_same(&b.filter, &self.symmetry) {
+                let believe = frame.corrected[first] && frame.corrected[second];
+                if !(believe && a.filter.is_same(&b.filter, &self.symmetry)) {
                     continue;
                 }
                 let keeps_second = self.leading != Some(first)
@@ -385,7 +388,7 @@ impl Tracker {
         }
     }
 
-    /// Chooses who leads.
+    /// Chooses who leads: where none does, the one with most evidence, once frames have agreed on it.
     fn choose(&mut self) {
         let score =
             |place: usize| self.hypotheses[place].map_or(0.0, |hypothesis| hypothesis.score);
@@ -393,7 +396,9 @@ impl Tracker {
         self.leading = match (self.leading, best) {
             (Some(leader), Some(best)) if score(best) > score(leader) + AHEAD => Some(best),
             (Some(leader), _) => Some(leader),
-            (None, best) => best,
+            (None, best) => {
+                best.filter(|best| (0..HYPOTHESES).all(|other| score(other) <= score(*best)))
+            }
         };
     }
 

@@ -263,6 +263,53 @@ fn five_seconds_without_frames_are_coasted() {
     }
 }
 
+/// The network's error changes with the light, which the object's rotation does not tell, and by less than makes another track.
+#[test]
+fn errors_that_change_at_rest_make_no_unlikely_attitude_lead() {
+    let mut random = Random(14);
+    let mut tracker = tracker();
+    let mut last = f64::NAN;
+    for i in 0..300 {
+        let t = f64::from(i) * 0.5;
+        let mut shown = Shown::tumbling(0.0, &mut random);
+        let right = shown;
+        if i < 100 {
+            shown.position += Vector3::new(0.1, 0.1, 0.6);
+            shown.orientation *= UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.07, 0.0));
+        }
+        let modes = [shown.mode(1.0, 0.995), flipped(&shown).mode(1.0, 1e-4)];
+        let seen = Measurement::new(&modes).unwrap();
+        if let Some(one) = tracker.step(t, Some(&seen), STILL).unwrap().estimate {
+            last = away(&one, &right);
+            assert!(last < 0.2, "frame {i}: {last}");
+        }
+    }
+    assert!(last < 0.02, "{last}");
+}
+
+#[test]
+fn an_attitude_that_is_less_likely_than_a_new_one_does_not_lead() {
+    let mut random = Random(15);
+    let mut tracker = Tracker::new(Parameters { agreeing: 12.0, ..Parameters::default() }).unwrap();
+    let mut outcomes = Vec::new();
+    for i in 0..60 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let (unlikely, new) = (flipped(&shown), turned(&shown, Vector3::x()));
+        let (likely, p) = if i < 20 { (shown, 0.6) } else { (new, 0.99) };
+        let modes = [likely.mode(1.0, p), unlikely.mode(1.0, 1e-3)];
+        let step = tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+        outcomes.push(step.outcome);
+        if let Some(one) = step.estimate {
+            assert!(away(&one, &unlikely) > 1.0, "frame {i}");
+        }
+        if i == 59 {
+            assert!(away(&step.estimate.unwrap(), &new) < 0.1);
+        }
+    }
+    assert!(outcomes.contains(&Outcome::Lost), "{outcomes:?}");
+}
+
 #[test]
 fn two_attitudes_are_followed_while_there_are_two() {
     let mut random = Random(8);
