@@ -3,7 +3,6 @@
 Of folders that ffpose learn wrote, and the indices of the images that are shown, sunlit and near, with
 errors about the median:
 
-python docs/images/own_spacecraft.py own_spacecraft.jpg station=2,21,23,31 landsat=14,17,23,35 hubble=2,23,31,35
 python docs/images/own_spacecraft.py own_spacecraft_hour.jpg iss=187,152,12,203 landsat=40,35,72,2 orion=25,35,31,76
 python docs/images/own_spacecraft.py own_spacecraft_voyager_cubesat.jpg voyager=25,286,175,190 cubesat=189,37,268,195
 """

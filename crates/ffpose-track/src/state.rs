@@ -9,13 +9,13 @@ use crate::symmetry::Symmetry;
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK7";
+const MAGIC: [u8; 8] = *b"FFTRACK8";
 
 /// Bytes that say whose track it is, such as the digest of a network's file and of the camera.
 pub const TAG_BYTES: usize = 32;
 
-/// Numbers of a hypothesis: whether there is one, score, frames, time, views, state and covariances.
-const OF_HYPOTHESIS: usize = 6 + 13 + OF_COVARIANCE + OF_CROSS;
+/// Numbers of a hypothesis: whether there is one, score, frames, time, views, angles, state and covariances.
+const OF_HYPOTHESIS: usize = 8 + 13 + OF_COVARIANCE + OF_CROSS;
 const OF_COVARIANCE: usize = MOTION * MOTION;
 const OF_CROSS: usize = MOTION * ERRORS;
 
@@ -116,6 +116,7 @@ impl Writer<'_> {
     fn hypothesis(&mut self, one: &Hypothesis) {
         let filter = &one.filter;
         self.numbers(&[1.0, one.score, one.agreed, one.last, one.views, one.squares]);
+        self.numbers(&[one.turned, one.turned_unbelieved]);
         self.numbers(filter.position.as_slice());
         self.numbers(filter.velocity.as_slice());
         self.numbers(filter.orientation.coords.as_slice());
@@ -145,7 +146,8 @@ impl Reader<'_> {
     }
 
     fn hypothesis(&mut self) -> Option<Hypothesis> {
-        let [present, score, agreed, last, views, squares] = self.numbers();
+        let [present, score, agreed, last, views, squares, turned, turned_unbelieved] =
+            self.numbers();
         let (position, velocity) = (self.vector(), self.vector());
         let [i, j, k, w] = self.numbers();
         let orientation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
@@ -153,7 +155,16 @@ impl Reader<'_> {
         let covariance = Covariance::from_column_slice(&self.numbers::<OF_COVARIANCE>());
         let cross = Cross::from_column_slice(&self.numbers::<OF_CROSS>());
         let filter = Filter { position, velocity, orientation, rate, covariance, cross };
-        (present != 0.0).then_some(Hypothesis { filter, score, agreed, last, views, squares })
+        (present != 0.0).then_some(Hypothesis {
+            filter,
+            score,
+            agreed,
+            last,
+            views,
+            squares,
+            turned,
+            turned_unbelieved,
+        })
     }
 }
 

@@ -17,7 +17,7 @@ pub const HYPOTHESES: usize = 3;
 // Evidence is counted in independent views: a frame that shows what the last one showed says hardly anything new.
 /// What a frame says at least.
 const OLD_VIEW: f64 = 0.02;
-/// What a hypothesis begins with.
+/// What a hypothesis begins with, and what a frame that it believes leaves it at least, for a pose of probability one.
 const BEGINNING: f64 = 0.2;
 /// The most that it can gather, so that a changed attitude is believed in the end.
 const MOST: f64 = 4.0;
@@ -109,6 +109,9 @@ pub(crate) struct Hypothesis {
     /// Independent views among them, and the sum of their squared distances.
     pub(crate) views: f64,
     pub(crate) squares: f64,
+    /// Angle turned since the last frame with a pose, and since the last that it has believed, rad.
+    pub(crate) turned: f64,
+    pub(crate) turned_unbelieved: f64,
 }
 
 impl Hypothesis {
@@ -225,7 +228,11 @@ impl Tracker {
         }
         if let Some(last) = self.time.filter(|last| time <= *last) {
             let follows = self.hypotheses.iter().any(Option::is_some);
-            if follows && (self.leading.is_some() || last - time <= self.parameters.coasting) {
+            // a leader of one frame may be of the wrong time itself
+            let leads = self
+                .leading
+                .is_some_and(|place| self.hypotheses[place].is_some_and(|one| one.agreed > 1.0));
+            if follows && (leads || last - time <= self.parameters.coasting) {
                 return Err(Error::Time { last, got: time });
             }
             self.reset();
@@ -314,18 +321,25 @@ impl Tracker {
             return;
         }
         let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
-        let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
+        hypothesis.turned += turned;
+        hypothesis.turned_unbelieved += turned;
         let mut ends = false;
         if let Some(measurement) = measurement {
+            let new = |turned: f64| OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
+            let news = new(hypothesis.turned);
+            hypothesis.turned = 0.0;
             let own = [Some(hypothesis.filter.orientation)];
             let measurement = measurement.unfolded(&self.symmetry, &own);
             let found = closest(&hypothesis.filter, &measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
             if let Some((mode, pose, innovation)) = &accepted {
                 hypothesis.filter.correct(innovation, parameters);
-                hypothesis.views += news;
-                hypothesis.squares += news * innovation.nis;
-                hypothesis.score += news * (2.0 * pose.probability - 1.0);
+                let view = new(hypothesis.turned_unbelieved);
+                hypothesis.turned_unbelieved = 0.0;
+                hypothesis.views += view;
+                hypothesis.squares += view * innovation.nis;
+                let score = hypothesis.score + news * (2.0 * pose.probability - 1.0);
+                hypothesis.score = score.max(BEGINNING * pose.probability);
                 hypothesis.agreed += 1.0;
                 hypothesis.last = frame.time;
                 frame.explained[*mode] = true;
@@ -345,12 +359,17 @@ impl Tracker {
         }
     }
 
-    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on and that this one does
-    /// not speak for.
+    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on, that this one does not
+    /// speak for, and that has no more evidence.
     fn propose(&mut self, pose: &Mode, frame: &mut Frame) {
+        let score = BEGINNING * pose.probability;
         let weight = |place: usize| match &self.hypotheses[place] {
             None => -1.0,
-            Some(young) if young.agreed < self.parameters.agreeing && !frame.corrected[place] => {
+            Some(young)
+                if young.agreed < self.parameters.agreeing
+                    && !frame.corrected[place]
+                    && young.score <= score =>
+            {
                 young.score
             }
             Some(_) => f64::INFINITY,
@@ -359,11 +378,13 @@ impl Tracker {
         let Some(place) = least.filter(|place| weight(*place).is_finite()) else { return };
         self.hypotheses[place] = Some(Hypothesis {
             filter: Filter::new(pose, &self.parameters),
-            score: BEGINNING,
+            score,
             agreed: 1.0,
             last: frame.time,
             views: 0.0,
             squares: 0.0,
+            turned: 0.0,
+            turned_unbelieved: 0.0,
         });
         frame.corrected[place] = true;
     }
@@ -423,7 +444,8 @@ impl Tracker {
         let outcome = match (before, self.leading) {
             (None, None) => Outcome::Acquiring,
             (Some(_), None) => Outcome::Lost,
-            (None, Some(_)) => Outcome::Accepted,
+            (None, Some(now)) if frame.corrected[now] => Outcome::Accepted,
+            (None, Some(_)) => Outcome::Switched,
             (Some(_), now) if kept != now => Outcome::Switched,
             _ if frame.of_leader.is_some_and(|(_, _, accepted)| accepted) => Outcome::Accepted,
             _ => unbelieved,

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Random, Shown};
+use common::{Random, Shown, trusting};
 use ffpose_track::{Error, Measurement, Mode, Outcome, Parameters, Tracker};
 
 const STILL: [f64; 3] = [0.0; 3];
@@ -54,6 +54,16 @@ fn one_wrong_time_is_a_gap_and_no_more() {
                 assert_eq!(outcomes[3..], [Outcome::Accepted; 2]);
             }
         }
+    }
+}
+
+#[test]
+fn one_wrong_time_is_a_gap_for_a_tracker_that_believes_the_first_frame() {
+    let mut random = Random(19);
+    let mut tracker = Tracker::new(trusting()).unwrap();
+    for time in [0.0_f64, 0.5, 1.0, 1.7e9, 1.5, 2.0] {
+        let shown = Shown::tumbling(f64::min(time, 2.0), &mut random).measurement();
+        assert!(tracker.step(time, Some(&shown), STILL).unwrap().estimate.is_some());
     }
 }
 

@@ -311,6 +311,63 @@ fn an_attitude_that_is_less_likely_than_a_new_one_does_not_lead() {
 }
 
 #[test]
+fn a_likely_attitude_beside_passing_ones_is_acquired() {
+    let mut random = Random(16);
+    let mut tracker = tracker();
+    for i in 0..40 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let orientation = UnitQuaternion::from_scaled_axis(random.vector() * 2.0);
+        let passing = Shown { orientation, ..shown };
+        let modes = [shown.mode(1.0, 0.45), passing.mode(1.0, 0.05)];
+        let step = tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+        if i > 3 {
+            assert!(away(&step.estimate.unwrap(), &shown) < 0.1, "frame {i}");
+        }
+    }
+}
+
+#[test]
+fn one_wrong_frame_ends_no_track_of_two_attitudes_that_look_alike() {
+    let mut random = Random(17);
+    let mut tracker = tracker();
+    for i in 0..300 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let wrong = i > 100 && i % 50 == 0;
+        let seen = if wrong { turned(&shown, Vector3::x() * 0.5) } else { shown };
+        let modes = [seen.mode(1.0, 0.45), flipped(&seen).mode(1.0, 0.45)];
+        let step = tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+        if i > 3 {
+            assert!(step.estimate.is_some(), "frame {i}");
+        }
+    }
+}
+
+/// A frame counts by the angle turned since the last, however often the tracker is asked where the object is between them.
+#[test]
+fn steps_without_a_frame_change_no_decision() {
+    let switched = |between: i32| {
+        let mut random = Random(18);
+        let mut tracker = tracker();
+        (0..200).find(|i| {
+            let t = f64::from(*i) * 2.0;
+            for part in 1..between {
+                let before = t - 2.0 + 2.0 * f64::from(part) / f64::from(between);
+                tracker.step(before, None, STILL).unwrap();
+            }
+            let shown = Shown::tumbling(t, &mut random);
+            let p = if *i < 60 { 0.95 } else { 0.05 };
+            let modes = [shown.mode(1.0, p), flipped(&shown).mode(1.0, 1.0 - p)];
+            let step = tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+            step.outcome == Outcome::Switched
+        })
+    };
+    assert!(switched(1).is_some_and(|frame| frame > 60));
+    assert_eq!(switched(1), switched(20));
+}
+
+#[test]
 fn two_attitudes_are_followed_while_there_are_two() {
     let mut random = Random(8);
     let mut tracker = tracker();

@@ -142,6 +142,7 @@ fn a_million_steps_with_gaps_and_outliers_stay_sound() {
         }
         let seen = (random.uniform() < 0.9).then(|| shown.measurement());
         let step = tracker.step(t, seen.as_ref(), STILL).unwrap();
+        assert!(step.accepted || step.outcome != Outcome::Accepted);
         let Some(estimate) = step.estimate else { continue };
         tracked += 1;
         assert!(estimate.covariance.iter().all(|number| number.is_finite()));
