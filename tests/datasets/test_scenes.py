@@ -13,6 +13,7 @@ from ffpose.errors import DataError
 from ffpose.imaging.patches import LABELS, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.render import find_scene, label, patches
+from ffpose.render.dataset import manifest
 
 ALL = (180.0, 90.0, 180.0)
 COUNT, SEED = 3, 7
@@ -210,3 +211,11 @@ def test_whole_images_are_of_the_scenes_from_the_first_on(tmp_path, scene):
 def test_an_unknown_set_lists_the_known():
     with pytest.raises(ValueError, match=r"scene: expected one of soyuz_easy, .*, got 'mir'"):
         find_scene("mir", ALL)
+
+
+def test_images_of_other_packages_lie_elsewhere(tmp_path, scene, monkeypatch):
+    """Their bytes may differ, and a set is not continued by another version."""
+    open_frames(tmp_path, scene, SEED, 1, Preprocessing((48, 64)), workers=0)
+    monkeypatch.setattr(manifest, "package_versions", lambda *names: dict.fromkeys(names, "0"))
+    open_frames(tmp_path, scene, SEED, 1, Preprocessing((48, 64)), workers=0)
+    assert len(list(tmp_path.iterdir())) == 2

@@ -194,6 +194,17 @@ def test_pixels_are_as_stored_whatever_a_viewer_is_told(tmp_path):
     assert read_rgb(tmp_path / "turned.jpg").size == (32, 16)
 
 
+@pytest.mark.parametrize("turned", [3, 6])
+def test_a_tiff_that_pillow_would_turn_is_refused(turned, tmp_path):
+    """By half a turn its size is that of the file."""
+    path = tmp_path / "turned.tiff"
+    Image.new("RGB", (32, 16), (200, 0, 0)).save(path, tiffinfo={0x0112: turned})
+    with pytest.raises(DataError, match="expected pixels as they are stored, got a TIFF to be tur"):
+        read_rgb(path)
+    Image.new("RGB", (32, 16), (200, 0, 0)).save(path, tiffinfo={0x0112: 1})
+    assert read_rgb(path).size == (32, 16)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no named pipes")
 def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.png")

@@ -89,6 +89,14 @@ def test_a_budget_is_spent_on_rendering_and_training_by_the_speed_of_both():
     assert faster[1] == TrainingPlan("second", MOST_VIEWS, MOST_EPOCHS, rendered=MOST_VIEWS)
 
 
+def test_a_plan_keeps_its_budget_where_training_is_slow_beside_rendering():
+    speed = Speed(views=500, samples=300)
+    plans = plan_trainings(10, speed)
+    shown = SHOWN * sum(plan.epochs * plan.views for plan in plans)
+    rendered = plans[0].views + plans[1].views - plans[1].rendered
+    assert rendered / speed.views + shown / speed.samples <= 600
+
+
 def test_a_small_budget_is_not_held_back_whole():
     first, second = plan_trainings(10, Speed(views=10, samples=300))
     shown = SHOWN * (first.epochs * first.views + second.epochs * second.views)

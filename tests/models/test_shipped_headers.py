@@ -80,7 +80,7 @@ def test_the_training_in_the_header_is_that_of_the_configuration(name):
     got, expected = header.recipe, json.loads(json.dumps(recipe(config, None)))
     assert [got[field] for field in SAME] == [expected[field] for field in SAME]
     assert got["init"] is None
-    # The trainings that ship were calibrated once more, on as many images as their configurations say.
+    # The shipped weights were calibrated once more, on as many images as the configurations say.
     assert got["data"] | {"calibration": 0} == expected["data"] | {"calibration": 0}
     assert {each["count"] for each in header.calibration["images"]} == {config.data.calibration}
     assert header.data["sets"] == rendered_sets(config.data)["sets"]

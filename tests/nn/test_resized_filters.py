@@ -183,3 +183,11 @@ def test_whole_numbers_of_others_are_kept_as_int(of):
     grid = GlobalFilter(2, 4, 3).resized(size)
     assert (type(grid.h), type(grid.w)) == (int, int)
     assert grid(torch.zeros(1, 48, 2), size).shape == (1, 48, 2)
+
+
+def test_another_default_device_changes_nothing():
+    module = spectral((4, 6), "tokens")
+    expected = module.resized((8, 7)).weight
+    with torch.device("meta"):
+        resized = module.resized((8, 7))
+    assert torch.equal(resized.weight, expected)

@@ -206,6 +206,23 @@ class Repeated(nn.Module):
         return once, x + 1, once, x
 
 
+class Tempered(nn.Module):
+    """Returns a parameter beside its output."""
+
+    def __init__(self):
+        super().__init__()
+        self.temperature = nn.Parameter(torch.ones(()))
+
+    def forward(self, x):
+        return x / self.temperature, self.temperature
+
+
+def test_an_output_that_requires_a_gradient_is_a_number(tmp_path):
+    path = tmp_path / "tempered.onnx"
+    exporter.export(Tempered().eval(), (torch.randn(2, 3),), path)
+    assert len(runtime.InferenceSession(path).get_outputs()) == 2
+
+
 def test_outputs_that_are_one_value_keep_their_names(tmp_path):
     names = ["first", "again", "the same", "input"]
     x = torch.randn(2, 3)

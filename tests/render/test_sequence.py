@@ -16,6 +16,7 @@ from ffpose.datasets.csv_set import read_trajectory
 from ffpose.geometry import Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render import find_scene
+from ffpose.render.dataset import sequence_writer
 from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.motion import Orbit, sample_motion, sample_orbit
 from ffpose.render.sampler import sample_surroundings, visible_share
@@ -163,6 +164,14 @@ def test_files_are_a_csv_set_with_times_and_the_same_for_any_workers(tmp_path):
     assert records[0].camera == sequence.camera
     again = write_sequence(sequence, tmp_path / "one")
     assert (again.rendered, again.kept) == (0, 4)
+
+
+def test_frames_of_another_version_are_not_completed(tmp_path, monkeypatch):
+    write_sequence(short(), tmp_path)
+    next(iter(tmp_path.glob("frame-*.png"))).unlink()
+    monkeypatch.setattr(sequence_writer, "versions_of", lambda _: {"ffpose": "0.0.1"})
+    with pytest.raises(ValueError, match=r"same sequence as before, got another in \['versions"):
+        write_sequence(short(), tmp_path)
 
 
 def test_frames_that_are_damaged_are_rendered_again(tmp_path):

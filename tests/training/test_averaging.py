@@ -193,3 +193,12 @@ def test_a_stage_begins_from_the_best_weights_and_keeps_the_share_of_the_initial
 def test_a_share_of_no_initial_weights_is_refused(tmp_path, fields, got):
     with pytest.raises(ValueError, match=f"^init_share: .*got {got}$"):
         train_config(tmp_path, tmp_path, **fields)
+
+
+@pytest.mark.filterwarnings("ignore:for .*: copying from a non-meta parameter")
+def test_initial_weights_come_back_on_the_device_of_the_network():
+    model = network()
+    state = AveragedModel(model, 0.9, 0.3).state_dict()
+    resumed = AveragedModel(copy.deepcopy(model).to("meta"), 0.9, 0.3)
+    resumed.load_state_dict(state)
+    assert all(value.is_meta for value in resumed.initial.values())

@@ -15,7 +15,7 @@ from ffpose.datasets import Sample
 from ffpose.evaluation.calibration import CURVE, coverage, region_probability
 from ffpose.models import PolarPose
 from ffpose.models.base import UncertainPose
-from ffpose.models.second_look import calibrated
+from ffpose.models.second_look import calibrated, truncation
 from ffpose.training.calibrate import (
     LEAST_DEGREES_OF_FREEDOM,
     LEAST_MOSTLY_CUT,
@@ -413,3 +413,11 @@ def test_without_empty_images_scales_are_found_and_no_threshold():
     torch.testing.assert_close(
         found.variance_scales, calibrate(Drawn(), split(0), absent()).variance_scales
     )
+
+
+def test_images_that_the_border_hardly_cuts_tell_nothing_of_much_cut_ones():
+    """A tenth of the view of each is cut off, and errors along the ray are as they are without."""
+    model = Drawn(camera=(100.0, 100.0, 13.25, 192.0))
+    assert truncation(torch.tensor([AHEAD]), model.config).item() == pytest.approx(0.1, abs=0.01)
+    found = calibrate(model, split(0, factor=3.0), absent())
+    assert found.truncation_distance == 0

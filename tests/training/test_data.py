@@ -259,6 +259,16 @@ def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):
     assert not any("heatmaps" in name for name in load_file(folder.best))
 
 
+def test_distances_that_the_first_look_cannot_tell_are_named_with_those_of_the_labels(
+    own, tmp_path
+):
+    """It would be clamped to half of the nearest and twice the farthest that it is made for."""
+    config = second_look_config(own, tmp_path / "run")
+    fields = config.model_fields | {"distance_m": (100.0, 200.0)}
+    with pytest.raises(ValueError, match=r"distances of 50 to 400 m, .* got .*--model.distance-m"):
+        build_run(replace(config, model_fields=fields))
+
+
 def test_keypoints_and_their_weight_belong_together(own, tmp_path):
     config = second_look_config(own, tmp_path / "run")
     message = r"expected a file and a weight above 0, or neither, got"

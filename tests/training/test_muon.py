@@ -133,3 +133,18 @@ def test_matrices_of_the_shipped_network_are_most_of_its_weights_and_no_filters(
     assert len(set(found)) == len(found)
     assert "object_backbone.first.0.up.weight" in found
     assert not [name for name in found if "filter" in name or "begin" in name]
+
+
+def test_a_state_comes_back_on_the_devices_of_the_parameters():
+    """As one that was saved on a CPU, of a training that goes on elsewhere."""
+    model = nn.Sequential(nn.Linear(8, 8), nn.Linear(8, 2))
+    before = optimizer(model)
+    random_gradients(model, torch.Generator().manual_seed(0))
+    before.step()
+    after = optimizer(deepcopy(model).to("meta"))
+    after.load_state_dict(before.state_dict())
+    counted = [state for state in after.state.values() if "step" in state]
+    assert counted
+    for parameter, state in after.state.items():
+        if parameter.is_meta:
+            assert all(value.is_meta for value in state.values())

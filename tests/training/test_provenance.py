@@ -6,6 +6,7 @@ import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ from safetensors.torch import load_file
 from ffpose.datasets import open_dataset
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.models import read_metadata
+from ffpose.geometry import Camera
+from ffpose.models import build_network, read_metadata
+from ffpose.training import DataConfig, provenance
 from ffpose.training.engine import train
-from ffpose.training.provenance import describe_images, recipe
+from ffpose.training.provenance import describe_data, describe_images, recipe
 from ffpose.training.run import build_run
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -159,3 +162,24 @@ def test_weights_carry_the_mean_pose_that_evaluation_compares_with(trained, imag
         open_dataset("urso", image_set, "train", read_metadata(trained.best).preprocessing).poses
     )
     np.testing.assert_allclose(alone.baseline, expected, atol=1e-12)
+
+
+def test_positions_of_initial_weights_keep_their_scale(image_set, tmp_path):
+    """Their heads tell positions in it, whatever set they are trained on from now on."""
+    config, path = train_config(image_set, tmp_path / "run"), tmp_path / "initial.safetensors"
+    scale = {"translation_mean": (1.0, 2.0, 30.0), "translation_std": (4.0, 5.0, 6.0)}
+    fields = {**config.model_fields, **scale}
+    build_network(config.model, backbone_weights="none", **fields).save_pretrained(path)
+    run = build_run(replace(config, init=path))
+    assert run.model.config.translation_mean == scale["translation_mean"]
+    assert run.model.config.translation_std == scale["translation_std"]
+
+
+def test_the_size_of_scenes_is_that_of_their_camera(image_set, tmp_path, monkeypatch):
+    """The network's input is of a shape near it, and predict takes the camera's own."""
+    run = build_run(train_config(image_set, tmp_path / "run"))
+    camera = Camera(1280, 1024, 900.0, 900.0, 640.0, 512.0)
+    monkeypatch.setattr(provenance, "find_scene", lambda _: SimpleNamespace(camera=camera))
+    images, config = run.task.val_set, DataConfig("scenes", tmp_path, scene="soyuz_easy")
+    described = describe_data(config, images.poses, images, hashlib.sha256())
+    assert described["image_size"] == [1024, 1280]

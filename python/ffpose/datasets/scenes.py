@@ -106,10 +106,17 @@ def render_images(
     Returns:
         The folder within ``root``, a set in URSO's layout, whose name begins with ``name``.
     """
+    from ffpose.render.dataset.manifest import versions_of
     from ffpose.render.dataset.writer import write_dataset
 
     height, width = preprocessing.frame_size(scene.camera.width, scene.camera.height)
-    described = {"scene": scene.parameters(), "seed": seed, "size": (width, height), "count": count}
+    described = {
+        "scene": scene.parameters(),
+        "seed": seed,
+        "size": (width, height),
+        "count": count,
+        "versions": versions_of(scene),
+    }
     folder = root / f"{name}-{digest(described)}"
     write_dataset(scene, folder, count, seed, size=(width, height), workers=max(1, workers))
     return folder

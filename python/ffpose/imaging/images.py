@@ -35,6 +35,9 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".pgm")
 PATTERN = re.compile(r"[*?[]")
 """What makes a path a pattern of paths."""
 
+ORIENTATION = 0x0112
+"""Tag of a TIFF by which viewers, and Pillow as it decodes one, turn the pixels."""
+
 MAX_PIXELS = 2**28 // 3
 """Most pixels of an image file: 256 MiB as RGB, where Pillow begins to warn of hostile files."""
 
@@ -144,6 +147,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         with Image.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise _too_large(image.width * image.height, path)
+            if image.format == "TIFF" and image.getexif().get(ORIENTATION, 1) != 1:
+                raise DataError("expected pixels as they are stored, got a TIFF to be turned", path)
             yield image
     except (FileNotFoundError, DataError):
         raise

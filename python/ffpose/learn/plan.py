@@ -181,7 +181,7 @@ def _plan(name: str, seconds: float, speed: Speed, rendered: int, most: int) -> 
     # A part of an epoch that is left is spent on more views.
     each = 1 / speed.views + epochs * SHOWN_SHARE / speed.samples
     views = (seconds + rendered / speed.views) / each
-    return TrainingPlan(name, int(max(min(views, most), planned)), epochs, rendered)
+    return TrainingPlan(name, int(max(min(views, most), least)), epochs, rendered)
 
 
 def replanned(

@@ -32,7 +32,7 @@ def resample_weight(
     and only that part is kept.
     """
     with torch.no_grad():
-        impulse = torch.zeros(tuple(size), dtype=torch.float64)
+        impulse = torch.zeros(tuple(size), dtype=torch.float64, device="cpu")
         impulse[0, 0] = 1
         kernel = spectral_filter(impulse, weight.cpu().double(), layout)
         for dim, length in enumerate(plane):
@@ -47,7 +47,7 @@ def _wrap(kernel: Tensor, dim: int, length: int) -> Tensor:
     """
     period = kernel.shape[dim]
     half = period // 2
-    offsets = torch.arange(-half, half + 1)
+    offsets = torch.arange(-half, half + 1, device=kernel.device)
     share = torch.ones_like(offsets, dtype=kernel.dtype)
     if period % 2 == 0:
         share[[0, -1]] = 0.5

@@ -334,8 +334,8 @@ def _expect_names(
 def halve(model: Any) -> None:
     """Store as float16 those constants of an `onnx_ir.Model` that lose nothing by it, in place.
 
-    Nearly all shipped weights are such numbers. A node makes float32 of each, which runtimes compute as they
-    load the graph, not as they run it.
+    Nearly all shipped weights are such numbers. A node makes float32 of each, which runtimes
+    compute as they load the graph, not as they run it.
     """
     ir, graph = require("onnx_ir", "export"), model.graph
     for name, value in list(graph.initializers.items()):
@@ -434,7 +434,7 @@ def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
         leaves = tensors_of(module(*args))
     for place, leaf in enumerate(leaves):
         _expect_dtype(f"output {place}", leaf)
-    return [leaf.numpy() for leaf in leaves]
+    return [leaf.detach().numpy() for leaf in leaves]
 
 
 def _expect_dtype(name: str, tensor: Tensor) -> None:

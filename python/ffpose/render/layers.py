@@ -121,7 +121,8 @@ def depth_step(scene: Scene) -> float:
 
     The least power of ten that suffices: 0.001 where the spacecraft stays within 65.535 m.
     """
-    largest = scene.distance_m[1] + scene.build().radius
+    reach = np.linalg.norm(scene.build().corners, axis=1).max()  # of the origin, wherever that is
+    largest = scene.distance_m[1] + float(reach)
     return 10.0 ** math.ceil(math.log10(largest / DEPTH_CODES))
 
 

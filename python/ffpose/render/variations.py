@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
+from ffpose import __version__
 from ffpose._internal.files import atomic_write
 from ffpose.imaging.images import read_rgb
 from ffpose.render.processes import in_processes
@@ -194,7 +195,8 @@ def _render_item(
 
 
 def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
-    depends = [variation.scene.parameters(), variation.blur_px, variation.empty, seed, size]
+    depends = [__version__, variation.scene.parameters(), variation.blur_px, variation.empty]
+    depends += [seed, size]
     depends += ["monochrome"] * variation.monochrome
     digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
     return f"{variation.name.replace(' ', '-')}-{digest[:16]}"

@@ -79,4 +79,5 @@ class AveragedModel(Generic[Model]):
         if self.decay > 0:
             self.steps = state["steps"]
             self.model.load_state_dict(state["model"])
-            self.initial = state.get("initial", {})  # which older checkpoints lack
+            own, initial = self.model.state_dict(), state["initial"]
+            self.initial = {name: value.to(own[name].device) for name, value in initial.items()}

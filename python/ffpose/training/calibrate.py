@@ -142,13 +142,15 @@ def calibrate(
     sets = [each for each in (seen, *others) if each]
     factor = distance_factor(seen["translation"], seen["true_translation"])
     shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
-    nearer = truncation_distance(np.concatenate(too_far), np.concatenate(shares))
+    truncation = np.concatenate(shares)
+    # A few that the border hardly cuts tell nothing of those that it mostly cuts.
+    tells = (truncation >= MOSTLY_CUT).sum() >= LEAST_MOSTLY_CUT
+    nearer = truncation_distance(np.concatenate(too_far), truncation) if tells else 0.0
     parts = [
         _distances(each, factor * np.exp(-nearer * share**2))
         for each, share in zip(sets, shares, strict=True)
     ]
     translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
-    truncation = np.concatenate(shares)
     # in other images the object is whole, and only its sphere is cut
     is_cut = np.concatenate([np.full(len(each["in_view"]), each is others[0]) for each in sets])
     mostly = is_cut & (truncation >= MOSTLY_CUT)

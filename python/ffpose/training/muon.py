@@ -88,6 +88,13 @@ class Muon(torch.optim.Optimizer):
             maximize=False,
         )
 
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned, counts of steps too on their parameters' devices."""
+        super().load_state_dict(state_dict)
+        for parameter, state in self.state.items():
+            if "step" in state:
+                state["step"] = state["step"].to(parameter.device)
+
 
 def orthogonalized(matrix: Tensor) -> Tensor:
     """Return about the orthogonal matrix next to one, ``U V'`` of its ``U S V'``; zero of zero.

@@ -77,6 +77,9 @@ def describe_data(
 ) -> dict[str, Any]:
     """Describe a run's images: name, sets, size; number, mean and digest of labels ``(N, 7)``."""
     size = images.image_size
+    if config.kind == "scenes":  # whose images are rendered at the network's size
+        camera = find_scene(config.scenes[0]).camera
+        size = camera.height, camera.width
     return {
         "kind": config.kind,
         "name": set_name(config),

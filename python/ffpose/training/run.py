@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ from torch import nn
 
 from ffpose._internal.torch_internals import multiplies_bfloat16
 from ffpose._internal.zoo import resolve_initial
-from ffpose.config import looks_twice
+from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     BaseNetwork,
@@ -22,7 +23,7 @@ from ffpose.models import (
     find_config,
     find_device,
 )
-from ffpose.models.weights import WeightsMetadata, load_weights
+from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibration_images import CalibrationSet
 from ffpose.training.config import OptimizerConfig, TrainConfig
@@ -121,8 +122,12 @@ def build_run(
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
+    if isinstance(model_config, PolarPoseConfig) and config.data.kind != "scenes":
+        _check_distances(data.poses, model_config.distance_m)
     if config.normalize_translation and not object_view:
-        fields |= translation_statistics(data.poses) if resumed is None else scaled_as(resumed)
+        before = resumed if initial is None else read_metadata(initial)
+        same = before is not None and type(before.config) is type(model_config)
+        fields |= scaled_as(before) if before and same else translation_statistics(data.poses)
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
@@ -191,6 +196,18 @@ def translation_statistics(poses: NDArray[np.float64]) -> dict[str, tuple[float,
         "translation_mean": tuple(mean.tolist()),
         "translation_std": tuple(spread.tolist()),
     }
+
+
+def _check_distances(poses: NDArray[np.float64], trained: Sequence[float]) -> None:
+    """Check that a first look can tell the distances of labels ``(N, 7)``."""
+    (near, far), distances = trained, np.linalg.norm(poses[:, :3], axis=1)
+    low, high = float(distances.min()), float(distances.max())
+    if not near / 2 <= low <= high <= 2 * far:
+        raise ValueError(
+            f"data: expected distances of {near / 2:g} to {2 * far:g} m, which the first look can"
+            f" tell, got {low:.3g} to {high:.3g}; --model.distance-m {low:.3g},{high:.3g} trains"
+            " such a network"
+        )
 
 
 def scaled_as(weights: WeightsMetadata) -> dict[str, tuple[float, ...]]:

@@ -28,7 +28,7 @@ from ffpose.render import (
     write_dataset,
 )
 from ffpose.render.dataset import tables, writer
-from ffpose.render.layers import LAYERS
+from ffpose.render.layers import LAYERS, depth_step
 
 SIZE = (64, 48)
 
@@ -228,6 +228,16 @@ def test_depth_files_hold_any_distance(tmp_path, scale, step):
     assert manifest["parameters"]["depth_step_m"] == pytest.approx(step)
     assert truth.max() > 4 * scale
     np.testing.assert_allclose(depth * step, truth, atol=0.51 * step)
+
+
+def test_depth_steps_hold_a_spacecraft_whose_origin_is_at_one_end():
+    easy = SCENES["soyuz_easy"]
+    craft = easy.build()
+    vertices = craft.mesh.vertices + np.array([0.9 * craft.radius, 0, 0])
+    aside = replace(craft, mesh=replace(craft.mesh, vertices=vertices))
+    scene = replace(easy, craft=aside, distance_m=(40.0, 58.0))
+    farthest = np.linalg.norm(aside.mesh.vertices, axis=1).max()
+    assert 65_535 * depth_step(scene) >= 58.0 + farthest
 
 
 def test_only_the_labels_that_were_asked_for_are_written(tmp_path):

@@ -56,9 +56,8 @@ class Manifest:
             parameters["coordinates_limit_m"] = coordinates_limit(scene.build())
         if "depth" in labels:
             parameters["depth_step_m"] = depth_step(scene)
-        second = ("mitsuba",) if scene.renderer == "mitsuba" else ()
         # Through JSON, so that it compares equal to one that was read.
-        return cls(json.loads(json.dumps(parameters)), package_versions(*PACKAGES, *second))
+        return cls(json.loads(json.dumps(parameters)), versions_of(scene))
 
     @classmethod
     def read(cls, path: Path) -> Manifest | None:
@@ -76,6 +75,11 @@ class Manifest:
     def write(self, target: Path) -> None:
         """Write the manifest into a file, whole or not at all."""
         write_json(target, asdict(self), 1)
+
+
+def versions_of(scene: Scene) -> dict[str, str]:
+    """Return the versions of the packages that the bytes of a set's images may depend on."""
+    return package_versions(*PACKAGES, *(("mitsuba",) if scene.renderer == "mitsuba" else ()))
 
 
 def part_name(indices: range) -> str:

@@ -22,6 +22,7 @@ from ffpose._internal.files import (
 from ffpose._internal.seeds import refuse_final
 from ffpose.errors import DataError, expect
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS
+from ffpose.render.dataset.manifest import versions_of
 from ffpose.render.dataset.writer import (
     LEAST_BYTES_PER_PIXEL,
     PNG_LEVEL,
@@ -70,7 +71,8 @@ def write_sequence(
     rng = np.random.default_rng([sequence.seed, SEQUENCE, 4])
     kept = np.flatnonzero(rng.random(len(sequence)) >= drop).tolist()
     wanted = sorted({0, *kept})
-    _claim(folder, {**sequence.parameters(), "drop": drop})
+    about = {**sequence.parameters(), "drop": drop, "versions": versions_of(sequence.scene)}
+    _claim(folder, about)
     size = sequence.camera.width, sequence.camera.height
     missing = [index for index in wanted if not readable(folder / frame_name(index), size)]
     least = LEAST_BYTES_PER_PIXEL * math.prod(size) * len(missing)
