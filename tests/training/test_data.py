@@ -259,9 +259,7 @@ def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):
     assert not any("heatmaps" in name for name in load_file(folder.best))
 
 
-def test_distances_that_the_first_look_cannot_tell_are_named_with_those_of_the_labels(
-    own, tmp_path
-):
+def test_distances_that_the_first_look_cannot_tell_are_named_with_what_to_set(own, tmp_path):
     """It would be clamped to half of the nearest and twice the farthest that it is made for."""
     config = second_look_config(own, tmp_path / "run")
     fields = config.model_fields | {"distance_m": (100.0, 200.0)}
