@@ -195,7 +195,7 @@ def test_a_share_of_no_initial_weights_is_refused(tmp_path, fields, got):
         train_config(tmp_path, tmp_path, **fields)
 
 
-@pytest.mark.filterwarnings("ignore:for .*: copying from a non-meta parameter")
+@pytest.mark.filterwarnings("ignore:.*copying from a non-meta parameter")
 def test_initial_weights_come_back_on_the_device_of_the_network():
     model = network()
     state = AveragedModel(model, 0.9, 0.3).state_dict()
