@@ -138,7 +138,8 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path, capsys):
     ).camera.resized(128, 96)
     assert metadata.preprocessing.mean == (0.0, 0.0, 0.0)
     assert (metadata.data["kind"], metadata.data["count"]) == ("scenes", 12)
-    assert metadata.data["image_size"] == [96, 128]
+    camera = find_scene("soyuz_easy").camera
+    assert metadata.data["image_size"] == [camera.height, camera.width]
     assert metadata.data["sets"] == [{"scene": "soyuz_easy", "seed": 3, "count": 12}]
     assert metadata.recipe["data"]["scene"] == "soyuz_easy"
     assert not any("dense" in name for name in load_file(folder.last))
