@@ -65,6 +65,9 @@ def test_kept_pictures_are_those_that_were_rendered_and_are_not_rendered_again(
             assert any(frame.pose == each.pose for each in expected)
     with pytest.raises(TypeError):  # of another seed there are none
         next(render_variations(some, SEED + 1, 2, SIZE, 1, tmp_path))
+    monkeypatch.setattr("ffpose.render.variations.__version__", "0.0.1")
+    with pytest.raises(TypeError):  # nor of another version
+        next(render_variations(some, SEED, 2, SIZE, 1, tmp_path))
 
 
 def test_poses_are_shared_wherever_the_variation_leaves_them(tried):

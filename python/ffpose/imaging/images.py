@@ -147,8 +147,10 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         with Image.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise _too_large(image.width * image.height, path)
-            if image.format == "TIFF" and image.getexif().get(ORIENTATION, 1) != 1:
-                raise DataError("expected pixels as they are stored, got a TIFF to be turned", path)
+            turned = image.getexif().get(ORIENTATION, 1) if image.format == "TIFF" else 1
+            if turned != 1:
+                got = f"a TIFF to be turned, of orientation {turned} instead of 1"
+                raise DataError(f"expected pixels as they are stored, got {got}", path)
             yield image
     except (FileNotFoundError, DataError):
         raise

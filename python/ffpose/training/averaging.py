@@ -79,5 +79,5 @@ class AveragedModel(Generic[Model]):
         if self.decay > 0:
             self.steps = state["steps"]
             self.model.load_state_dict(state["model"])
-            own, initial = self.model.state_dict(), state["initial"]
+            own, initial = self.model.state_dict(), state.get("initial", {})  # older ones lack it
             self.initial = {name: value.to(own[name].device) for name, value in initial.items()}

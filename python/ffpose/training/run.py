@@ -126,8 +126,10 @@ def build_run(
         _check_distances(data.poses, model_config.distance_m)
     if config.normalize_translation and not object_view:
         before = resumed if initial is None else read_metadata(initial)
-        same = before is not None and type(before.config) is type(model_config)
-        fields |= scaled_as(before) if before and same else translation_statistics(data.poses)
+        if before is None or type(before.config) is not type(model_config):
+            fields |= translation_statistics(data.poses)
+        else:
+            fields |= scaled_as(before)
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
