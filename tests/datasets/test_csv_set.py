@@ -60,6 +60,15 @@ def test_any_file_is_a_split_and_labels_may_be_missing(root):
         read(root, "flight 7")
 
 
+def test_all_splits_together_have_each_image_once(root):
+    """Else it would count twice, or be trained on and held out."""
+    lines = (root / "train.csv").read_text().splitlines()
+    (root / "again.csv").write_text("\n".join(lines[:2]) + "\n")
+    assert len(read(root, "again")) == 1
+    with pytest.raises(DataError, match=r"again\.csv:2: .*a/0\.png in train and again"):
+        read(root, "all")
+
+
 def test_each_image_may_have_a_camera_of_its_own(root):
     text = TRAIN.replace("tz\n", "tz,camera\n").replace("10\n", "10,camera.json\n")
     (root / "train.csv").write_text(text.replace(",5\n", ",5,lens.json\n"))

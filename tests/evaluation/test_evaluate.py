@@ -11,7 +11,9 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from ffpose import load
 from ffpose.datasets import Conditions, Decoding, read_conditions
+from ffpose.errors import DataError
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
@@ -137,6 +139,41 @@ def test_one_part_of_the_decoding_leaves_the_other_as_in_training(image_set, tmp
         assert {record.white for record in found.dataset.records} == {white}
 
 
+BENT = DistortedCamera(*SIZE, 50.0, 50.0, 32.0, 24.0, distortion=(-0.3, 0.05, 0, 0, 0))
+
+
+def set_of(camera, image_set, folder):
+    root = shutil.copytree(image_set, folder)
+    (root / "camera.json").write_text(json.dumps(asdict(camera)))
+    return root
+
+
+def test_a_network_of_the_frame_sees_distortion_as_in_training(image_set, tmp_path):
+    """Images as the lens made them, where those of the training were such; else undistorted."""
+    root = set_of(BENT, image_set, tmp_path / "bent")
+    straight = set_of(BENT.pinhole, image_set, tmp_path / "straight")
+    fields = {"camera": (50.0, 50.0, 32.0, 24.0)}
+    torch.manual_seed(0)
+    model = FilterformerPose.from_config(
+        "tiny", backbone_weights="none", image_size=(48, 64), depth=1, dim=16, heads=2, **fields
+    )
+    paths = {}
+    for distorted in (True, False):
+        paths[distorted] = tmp_path / f"{distorted}.safetensors"
+        model.save_pretrained(paths[distorted], data={"distorted": distorted})
+    as_they_are = evaluate(paths[False], "urso", straight)
+    found = evaluate(paths[True], "urso", root)
+    np.testing.assert_array_equal(found.predicted, as_they_are.predicted)
+    with pytest.raises(ValueError, match=r"without distortion, got .*; --data.undistort takes it"):
+        evaluate(paths[False], "urso", root)
+    undistorted = evaluate(paths[False], "urso", root, decoding=Decoding(True))
+    assert np.abs(undistorted.predicted - found.predicted).max() > 1e-4
+    image = found.dataset.records[0].image
+    for distorted, of_the_set in ((True, found), (False, undistorted)):
+        pose = load(paths[distorted], camera=BENT, device="cpu")(image)
+        np.testing.assert_allclose(pose.t, of_the_set.predicted[0, :3], rtol=0, atol=1e-4)
+
+
 def test_labels_that_locate_the_camera_are_no_objects(tmp_path):
     pose = np.eye(4)
     pose[2, 3] = 5
@@ -154,10 +191,7 @@ def test_labels_that_locate_the_camera_are_no_objects(tmp_path):
 
 def test_a_second_look_refuses_distortion_that_is_not_taken_out(image_set, tmp_path):
     """The pinhole part of the camera is the weights': the lens bends the images alone."""
-    root = shutil.copytree(image_set, tmp_path / "bent")
-    camera = Camera(*SIZE, 50.0, 50.0, 32.0, 24.0)
-    bent = DistortedCamera(**asdict(camera), distortion=(-0.3, 0.05, 0, 0, 0))
-    (root / "camera.json").write_text(json.dumps(asdict(bent)))
+    root = set_of(BENT, image_set, tmp_path / "bent")
     fields = {
         "image_size": (48, 64),
         "camera": (50.0, 50.0, 32.0, 24.0),
@@ -175,6 +209,15 @@ def test_a_second_look_refuses_distortion_that_is_not_taken_out(image_set, tmp_p
     straight = evaluate(tmp_path / "w.safetensors", "urso", image_set, reproject=True)
     np.testing.assert_allclose(turned.predicted, taken_out.predicted, rtol=0, atol=1e-4)
     assert np.abs(straight.predicted - taken_out.predicted).max() > 1e-3
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for number, record in enumerate(taken_out.dataset.records):
+        shutil.copy(record.image, empty / f"{number}.png")
+    same = evaluate(tmp_path / "w.safetensors", "urso", root, decoding=Decoding(True), empty=empty)
+    np.testing.assert_allclose(same.in_view_empty, same.in_view, rtol=1e-5)
+    Image.new("RGB", (10, 10)).save(empty / "a.png")
+    with pytest.raises(DataError, match=r"a\.png: expected 64x48 pixels, as images of"):
+        evaluate(tmp_path / "w.safetensors", "urso", root, decoding=Decoding(True), empty=empty)
 
 
 def test_the_baseline_is_of_the_set_or_the_training_or_the_images_themselves(image_set, tmp_path):
@@ -190,6 +233,12 @@ def test_the_baseline_is_of_the_set_or_the_training_or_the_images_themselves(ima
     told = evaluate(tmp_path / "told.safetensors", "urso", alone)
     np.testing.assert_array_equal(told.baseline, elsewhere)
     assert format_table(told.summary()).endswith("mean pose: of the weights' training")
+    away = shutil.copytree(image_set, tmp_path / "away")  # of the training the table alone is there
+    (name, *_) = (away / "train_images.csv").read_text().split()[1:]
+    next(away.glob(name)).unlink()
+    for weights, of in (("told", "the weights' training"), ("w", "the images themselves")):
+        path = tmp_path / f"{weights}.safetensors"
+        assert evaluate(path, "urso", away, split="test").baseline_of == of
     themselves = evaluate(tmp_path / "w.safetensors", "urso", alone)
     np.testing.assert_array_equal(themselves.baseline, mean_pose(themselves.dataset.poses))
     assert themselves.baseline_of == "the images themselves"

@@ -210,3 +210,21 @@ def test_images_are_undistorted_as_those_trained_on(run, folder, tmp_path):
     assert code == 0
     estimator = load(graph, camera=camera, threads=1)
     assert_same(document, expected(estimator, images / "a.png"), 0)
+
+
+def test_images_with_the_distortion_of_those_trained_on_stay_as_they_are(run, folder, tmp_path):
+    """The lens of the camera of the network's view: undistorted only for other networks."""
+    file, found = tmp_path / "camera.json", []
+    lens = DistortedCamera(64, 48, 50.0, 50.0, 32.0, 24.0, LENS)
+    lens.write(file)
+    images = folder({"a.png": png(picture(64, 48))})
+    for distorted in (True, False):
+        graph = tmp_path / f"{distorted}.onnx"
+        decoding = {"undistorted": False, "white": None, "distorted": distorted}
+        graph.write_bytes(sealed(projections(decoding=json.dumps(decoding))))
+        code, (document,), _ = run(graph, "--images", images, "--camera", file)
+        assert code == 0
+        assert_same(document, expected(load(graph, camera=lens, threads=1), images / "a.png"), 0)
+        _, (as_it_is,), _ = run(graph, "--images", images, "--resize")
+        found.append(document["translation_m"] == as_it_is["translation_m"])
+    assert found == [True, False]

@@ -215,12 +215,13 @@ def test_a_scene_trains_and_selects_by_its_spread(scene, tmp_path):
 
 
 def test_images_of_several_cameras_train(own, tmp_path):
-    other = CAMERA | {"fx": 60.0}
+    other = CAMERA | {"fx": 60.0, "width": 2 * CAMERA["width"]}
     (own / "other.json").write_text(json.dumps(other))
     lines = (own / "train.csv").read_text().splitlines()
     cameras = ["camera", "camera.json", "other.json", *["camera.json"] * (IMAGES - 2)]
     text = "\n".join(f"{line},{camera}" for line, camera in zip(lines, cameras, strict=True))
     (own / "train.csv").write_text(text)
+    Image.new("RGB", (other["width"], other["height"])).save(own / "1.png")
     config = train_config(own, tmp_path / "run", epochs=1)
     result = train(replace(config, data=DataConfig("csv", own, holdout=2, cache=True)))
     assert read_metadata(result.folder.best).camera is None

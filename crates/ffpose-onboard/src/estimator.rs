@@ -260,7 +260,8 @@ fn adapt(metadata: &mut Metadata, images: &Taken) -> Result<Option<Camera>> {
              does not; --resize takes images of any camera as they are",
         )
     })?;
-    if source.distortion.is_none() && metadata.preprocessing.camera(&source).agrees_with(&view) {
+    let as_trained = metadata.distorted || source.distortion.is_none();
+    if as_trained && metadata.preprocessing.camera(&source).agrees_with(&view) {
         return Ok(Some(source));
     }
     metadata.preprocessing.reprojection = Some(Reprojection { source, view });

@@ -44,6 +44,8 @@ pub struct Metadata {
     pub tracking: Map<String, Value>,
     /// Whether the images trained on were undistorted.
     pub undistorted: bool,
+    /// Whether they had distortion, and were taken as they are.
+    pub distorted: bool,
     /// What became 255 in images trained on that have more than 8 bits.
     pub white: Option<White>,
 }
@@ -105,6 +107,7 @@ impl Metadata {
                 Some(_) => return Err(Error::new("tracking: expected settings by their names")),
             },
             undistorted: decoding["undistorted"] == true,
+            distorted: decoding["distorted"] == true,
             white: match &decoding["white"] {
                 Value::Null => None,
                 value => Some(White::from_json(value)?),
@@ -314,7 +317,11 @@ mod tests {
             let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
             let metadata = Metadata::of(&sealed(model(&entries))).unwrap();
             assert_eq!((metadata.undistorted, metadata.white), expected);
+            assert!(!metadata.distorted);
         }
+        let decoding = r#"{"undistorted": false, "white": null, "distorted": true}"#;
+        let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
+        assert!(Metadata::of(&sealed(model(&entries))).unwrap().distorted);
     }
 
     #[test]

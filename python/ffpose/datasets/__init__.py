@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ffpose.datasets import cambridge, csv_set, sevenscenes, speed, speedplus, urso
@@ -83,12 +84,28 @@ def read_records(
     Raises:
         ValueError: ``kind`` or ``split`` is unknown.
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
-        DataError: A file is invalid; the error names file and line.
+        DataError: A file is invalid, or of all splits two have an image in common; the error names
+            file and line.
     """
     reader, folder = _reader(kind), Path(root)
     splits = reader.splits(folder) if split == "all" else [split]
-    parts = [reader.read(folder, each) for each in splits]
-    return [record.decoded_by(decoding) for part in parts for record in part]
+    parts = {each: reader.read(folder, each) for each in splits}
+    if split == "all":
+        _expect_apart(parts)
+    return [record.decoded_by(decoding) for part in parts.values() for record in part]
+
+
+def _expect_apart(parts: Mapping[str, Sequence[Record]]) -> None:
+    """Refuse splits that share images, which would count twice, or be learned and held out."""
+    found: dict[Path, str] = {}
+    for split, records in parts.items():
+        for record in records:
+            other = found.setdefault(record.image, split)
+            if other != split:
+                raise record.error(
+                    f"expected splits without common images, of which all are asked for, got"
+                    f" {record.name} in {other} and {split}"
+                )
 
 
 def open_dataset(

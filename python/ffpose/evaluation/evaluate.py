@@ -12,17 +12,18 @@ predicted for every image, and oracles that know one part of the truth.
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from torch.utils.data import DataLoader
 
 from ffpose import arrays
 from ffpose._internal.cached import cached_property
-from ffpose.config import looks_twice
 from ffpose.datasets import (
     Conditions,
     Decoding,
@@ -33,6 +34,7 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.records import expect_in_front
+from ffpose.errors import DataError
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -46,11 +48,12 @@ from ffpose.evaluation.calibration import (
 from ffpose.evaluation.confusion import LARGE_DEG, most_confused
 from ffpose.evaluation.metrics import PoseErrors, median_intervals, pose_errors, summarized
 from ffpose.evaluation.significance import circular_correlation, correlation
-from ffpose.geometry import Camera, FloatArray, Pose
+from ffpose.geometry import Camera, DistortedCamera, FloatArray, Pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.reprojection import Reprojection, agree, bends
+from ffpose.imaging.undistortion import undistort
 from ffpose.inference.load import load
 from ffpose.inference.prediction import axis_length
 from ffpose.models import PosePrediction, WeightsMetadata
@@ -343,9 +346,12 @@ def evaluate(
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     of = "the weights' training"
     if split not in ("all", "train") and "train" in list_splits(kind, root):
-        baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
-        of = f"the split train of {root.resolve().name}"
-    elif baseline is None:
+        # Only its labels are wanted: where they, or the images that they name, are not there, the
+        # baseline is another, and the summary says of what.
+        with suppress(DataError):
+            baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
+            of = f"the split train of {root.resolve().name}"
+    if baseline is None:
         baseline, of = mean_pose(dataset.poses), "the images themselves"
     conditions = read_conditions(root, dataset.names)
     loader = DataLoader(dataset, batch_size=batch_size)
@@ -369,11 +375,23 @@ def evaluate(
             raise ValueError(
                 "empty: expected weights that predict whether the object is in view, got others"
             )
-        pictures = (read_rgb(image, decoding.white) for image in empty_images)
+        lens = dataset.records[0].lens
+        pictures = (_decoded(image, decoding.white, lens) for image in empty_images)
         inputs = (dataset.preprocessing.array(picture)[None] for picture in pictures)
         empty_in_view = [estimator.run(each)["in_view"] for each in inputs]
         told["in_view_empty"] = np.concatenate(empty_in_view).astype(np.float64)
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
+
+
+def _decoded(path: Path, white: float | str | None, lens: DistortedCamera | None) -> Image.Image:
+    """Decode an image without a label as those with one: ``lens`` is theirs, if it is taken out."""
+    picture = read_rgb(path, white)
+    if lens is None:
+        return picture
+    if picture.size != (lens.width, lens.height):
+        expected = f"{lens.width}x{lens.height} pixels, as images of the set's camera have"
+        raise DataError(f"expected {expected}, got {picture.width}x{picture.height}", path)
+    return undistort(picture, lens)
 
 
 def figures(errors: PoseErrors) -> dict[str, float]:
@@ -404,16 +422,16 @@ def choose_preprocessing(
     weights' are reprojected into the network's view.
 
     Raises:
-        ValueError: The camera differs from the weights', or has distortion, which a network with a
-            second look does not know, and ``reproject`` is false; or the images are of several, and
-            the weights of one.
+        ValueError: The camera differs from the weights', or has distortion that those of training
+            had not, and ``reproject`` is false; or the images are of several, and the weights of
+            one.
     """
     plain, view = metadata.preprocessing, metadata.config.view_camera
     if view is None:
         return plain
     if camera is None:
         raise ValueError("expected images of the weights' camera, got a set of several cameras")
-    bent = looks_twice(metadata.config) and bends(camera)
+    bent = bends(camera) and not metadata.distorted
     if agree(plain.camera(camera), view) and not bent:
         return plain
     if reproject:

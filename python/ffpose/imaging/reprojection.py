@@ -181,6 +181,7 @@ def for_images(
     camera: Camera | None = None,
     resize: bool = False,
     undistorted: bool = False,
+    distorted: bool = False,
 ) -> tuple[Preprocessing, Camera | None]:
     """Return what brings the images to come to a network's input.
 
@@ -191,6 +192,7 @@ def for_images(
         camera: The camera of the images to come; None: they are of the expected one.
         resize: They are resized, as if the expected camera had taken them.
         undistorted: The images trained on were undistorted.
+        distorted: They had distortion, and were taken as they are.
 
     Returns:
         The preprocessing, which turns images of another ``camera`` by geometry, and the camera
@@ -212,7 +214,8 @@ def for_images(
         return Reprojection.of(preprocessing, camera, straight), None
     if camera is None or view is None:
         return preprocessing, None if resize or camera is not None else expected
-    if isinstance(camera, DistortedCamera) or not agree(preprocessing.camera(camera), view):
+    as_trained = distorted or not isinstance(camera, DistortedCamera)
+    if not (as_trained and agree(preprocessing.camera(camera), view)):
         return Reprojection.of(preprocessing, camera, view), None
     return preprocessing, camera
 

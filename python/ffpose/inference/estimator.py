@@ -77,6 +77,7 @@ class PoseEstimator:
             camera=camera,
             resize=resize,
             undistorted=metadata.undistorted,
+            distorted=metadata.distorted,
         )
 
     @overload
@@ -159,7 +160,10 @@ class PoseEstimator:
         if points is None:
             return self.session.run(inputs)
         if self.near is None:
-            raise ValueError("points: expected an estimator of ffpose.load(track=True)")
+            raise ValueError(
+                "points: expected an estimator of ffpose.load(track=True) of weights with a second"
+                " look, or of a graph beside its .track.onnx, got one without single looks"
+            )
         if points.shape != (len(inputs), 3) or not np.isfinite(points).all():
             raise ValueError(
                 f"points: expected finite numbers of shape ({len(inputs)}, 3), got {points}"

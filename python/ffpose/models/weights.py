@@ -115,6 +115,11 @@ class WeightsMetadata:
         return bool(self._data_config.get("undistort", False))
 
     @property
+    def distorted(self) -> bool:
+        """Whether the training images had distortion, which was not taken out."""
+        return bool((self.data or {}).get("distorted", False))
+
+    @property
     def white(self) -> float | str | None:
         """White level of training images of more than 8 bits (`ffpose.datasets.Decoding`)."""
         white: float | str | None = self._data_config.get("white")

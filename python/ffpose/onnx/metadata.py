@@ -51,7 +51,8 @@ Precision = Literal["float32", "int8"]
 class ModelMetadata:
     """Metadata of an exported graph; None where unknown.
 
-    ``camera`` is that of the training images, ``undistorted`` and ``white`` say how they were read;
+    ``camera`` is that of the training images, ``undistorted`` and ``white`` say how they were read,
+    ``distorted`` whether they had distortion that was not taken out;
     ``weights_sha256`` is of the weights file that was exported, ``calibration_sha256`` of an int8
     graph's calibration images; ``takes_point`` says that the graph looks once, at points that are
     its input ``point``, and ``track_sha256`` is of the file of such a graph that belongs to this
@@ -69,6 +70,7 @@ class ModelMetadata:
     calibration_sha256: str | None = None
     locates: Target = "object"
     undistorted: bool = False
+    distorted: bool = False
     white: float | str | None = None
     takes_point: bool = False
     track_sha256: str | None = None
@@ -90,6 +92,8 @@ class ModelMetadata:
             "calibration_sha256": self.calibration_sha256 or "",
         }
         decoding = {"undistorted": self.undistorted, "white": self.white}
+        if self.distorted:
+            decoding["distorted"] = True
         return {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,

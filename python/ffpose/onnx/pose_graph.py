@@ -66,11 +66,8 @@ def export_weights(
         RuntimeError: Graph and network differ by more than rounding.
         ffpose.DataError: The weights cannot be used.
     """
-    if Path(path).suffix != ".onnx":
-        raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
+    expect_graph_name(path)
     network, source = open_weights(weights, **fields)
-    config = network.config
-    doubt_sigma = config.doubt_sigma if looks_twice(config) else (0.0, 0.0)
     module: nn.Module = network
     batches: list[tuple[torch.Tensor, ...]] = [
         (random_images(source.preprocessing, count),) for count in BATCHES
@@ -91,7 +88,7 @@ def export_weights(
         graph_entries(
             weights, source, takes_point=takes_point, track_sha256=track_sha256, **fields
         ),
-        partial(pose_differences, doubt_sigma=doubt_sigma),
+        partial(pose_differences, doubt_sigma=doubt_growth(network.config)),
         input_names=["images", "point"] if takes_point else ["images"],
         output_names=output_names(source.config),
         say=say,
@@ -126,6 +123,7 @@ def graph_entries(
             digest,
             locates=source.locates,
             undistorted=source.undistorted,
+            distorted=source.distorted,
             white=source.white,
             takes_point=takes_point,
             track_sha256=track_sha256,
@@ -157,6 +155,17 @@ def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
     pixels[:, :, top : top + patches.shape[2], left : left + patches.shape[3]] = patches
     mean, std = np.array((preprocessing.mean, preprocessing.std), np.float32)[:, :, None, None]
     return torch.from_numpy((pixels - mean) / std)
+
+
+def expect_graph_name(path: str | Path) -> None:
+    """Refuse a name by which the file would not be taken for a graph."""
+    if Path(path).suffix != ".onnx":
+        raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
+
+
+def doubt_growth(config: NetworkConfig) -> tuple[float, float]:
+    """Return a network's ``doubt_sigma``, zeros of one without uncertainty."""
+    return config.doubt_sigma if looks_twice(config) else (0.0, 0.0)
 
 
 def pose_differences(

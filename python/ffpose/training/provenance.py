@@ -14,6 +14,7 @@ from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.geometry.symmetry import SymmetryGroup
+from ffpose.imaging.reprojection import bends
 from ffpose.models import read_metadata
 from ffpose.render import find_scene
 from ffpose.training.config import DataConfig, TrainConfig
@@ -85,14 +86,14 @@ def describe_data(
         "name": set_name(config),
         **rendered_sets(config),
         "count": len(poses),
-        "image_size": None if size is None else list(size),
+        **({} if size is None else {"image_size": list(size)}),
         "mean_pose": mean_pose(poses).tolist(),
         "digest": digest.hexdigest(),
     }
 
 
 def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
-    """Describe whole images as `describe_data`, and what their labels locate.
+    """Describe whole images as `describe_data`, what their labels locate, and their distortion.
 
     The digest is of the concatenation over all images of the name, a newline, and the label
     ``[t, q]`` as little-endian float64.
@@ -101,4 +102,5 @@ def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
     for name, pose in zip(dataset.names, dataset.poses, strict=True):
         digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
     described = describe_data(config, dataset.poses, dataset, digest)
-    return {**described, "locates": dataset.target}
+    distorted = dataset.camera is not None and bends(dataset.camera)
+    return {**described, "locates": dataset.target, "distorted": distorted}

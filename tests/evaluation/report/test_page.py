@@ -1,5 +1,6 @@
 """What the page says of models that are better, worse, perfect, and of a baseline that is."""
 
+import html
 import re
 from dataclasses import replace
 
@@ -95,6 +96,7 @@ def test_the_page_shows_parts_conditions_and_uncertainty(dataset, tmp_path):
     evaluation = moved(dataset, 0.1, mean_pose(dataset.poses))
     plain = page(evaluation, tmp_path / "plain.html")
     assert "oracle: in-plane known" in plain
+    assert "the mean of the weights' training;" in html.unescape(plain)
     assert "Predicted uncertainty" not in plain
     sure = replace(
         evaluation,

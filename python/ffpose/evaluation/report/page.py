@@ -77,6 +77,7 @@ def write_report(report: Report, path: Path) -> None:
         subtitle=html.escape(report.subtitle),
         headline=headline(summary),
         figures=figures_table(summary),
+        baseline=html.escape(summary["mean_pose_baseline"]["of"]),
         parts=parts_table(summary),
         correlation=html.escape(correlation_text(summary)),
         conditions=conditions_table(summary),
