@@ -1,5 +1,7 @@
 """What training had of a card's conditions, told from the recipes of the whole chain."""
 
+from dataclasses import replace
+
 import pytest
 
 from ffpose.evaluation.card.seen import (
@@ -19,8 +21,8 @@ from ffpose.training.provenance import recipe
 PLAIN = {"scene": "soyuz_hard", "empty": 1, "decoys": 1}
 
 
-def recipe_of(tmp_path, init=None, **data):
-    config = TrainConfig(DataConfig("scenes", tmp_path, **(PLAIN | data)), tmp_path)
+def recipe_of(tmp_path, init=None, model="polar", **data):
+    config = TrainConfig(DataConfig("scenes", tmp_path, **(PLAIN | data)), tmp_path, model)
     return recipe(config, None if init is None else {"sha256": "", "recipe": init, "data": None})
 
 
@@ -46,6 +48,28 @@ def test_plain_scenes_are_seen_as_trained_and_by_augmentation(tmp_path):
         "another spacecraft": "partly",
     }
     assert found["noise doubled"].how == "augmentation: Gaussian noise"
+
+
+def test_a_network_of_the_frame_alone_saw_the_augmentation_of_frames(tmp_path):
+    frames = {"model": "small", "augmentation": {"blur": 0.7, "noise": 0.0, "read_noise": 0.01}}
+    found = conditions(recipe_of(tmp_path, **frames))
+    assert found["blur"].how == "augmentation: Gaussian blur of up to 0.7 pixels of the input"
+    assert found["noise doubled"] == Seen("partly", "augmentation: Gaussian noise")
+    assert found["monochrome"] == Seen("no")
+    never = conditions(recipe_of(tmp_path, model="small", augment=False))
+    assert never["blur"] == never["noise doubled"] == Seen("no")
+    clean = {"augmentation": {"blur": 0.0, "noise": 0.0}}
+    assert conditions(recipe_of(tmp_path, model="small", **clean))["noise doubled"] == Seen("no")
+
+
+def test_scenes_of_ones_own_have_the_distances_of_the_training(tmp_path):
+    """Those of a second `ffpose learn` with the same mesh may be others."""
+    scene = replace(SCENES["soyuz_hard"], name="own", distance_m=(8.0, 100.0))
+    learned = recipe_of(tmp_path, scene="own") | {"model_fields": {"distance_m": [8.0, 42.0]}}
+    for far, answer in ((42.0, "yes"), (100.0, "no")):
+        shown = replace(scene, distance_m=(8.0, far))
+        (plain, *_) = variations(shown, far, second_renderer=False)
+        assert seen_in_training(learned, plain, scene).answer == answer
 
 
 def test_attitudes_beyond_those_of_the_training_are_not_seen(tmp_path):

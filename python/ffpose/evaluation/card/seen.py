@@ -8,9 +8,11 @@ is akin, is "partly" seen.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import asdict, astuple, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from ffpose.config import PRESETS, looks_twice
+from ffpose.imaging.transforms import Augmentation
 from ffpose.render.scene import ALL_ATTITUDES, SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
 from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
@@ -50,7 +52,8 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 
 def _known(recipe: Recipe | None) -> Recipe | None:
     """Return a recipe, or None for one of another program, which says nothing of these images."""
-    return None if recipe is None or not {"data", "views"} <= recipe.keys() else recipe
+    ours = recipe is not None and {"data", "views"} <= recipe.keys()
+    return recipe if ours and recipe["model"] in PRESETS else None
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
@@ -106,11 +109,11 @@ def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> See
 
 def _had_the_like(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:
     """Return whether one training had a set, of whatever attitudes."""
-    data, views, scene = recipe["data"], recipe["views"], variation.scene
+    data, scene = recipe["data"], variation.scene
     names = data["scene"].split("+")
     if data["kind"] != "scenes" or not sets.keys() >= set(names):
         return Seen("unknown")
-    trained = [sets[name].scaled(*data.get("distance", (1.0, 1.0))) for name in names]
+    trained = [_as_trained(sets[name], recipe) for name in names]
     if variation.empty:
         return Seen("yes" if data["empty"] > 0 else "no")
     if scene.craft not in _crafts(recipe, sets) or scene.renderer != "ffpose":
@@ -124,8 +127,9 @@ def _had_the_like(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene
     near, far = scene.distance_m
     if not any(each.distance_m[0] <= near and far <= each.distance_m[1] for each in trained):
         return Seen("no")
+    views, blurred = _augmentation(recipe)
     if variation.blur_px > 0:
-        return _augmented(views["blur"], "half the resolution blended in")
+        return _augmented(views["blur"], blurred)
     if variation.monochrome:
         return _augmented(views.get("monochrome", 0), "a part of the images without colors")
     if scene.sensor.jpeg_quality != trained[0].sensor.jpeg_quality:
@@ -133,6 +137,29 @@ def _had_the_like(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene
     if scene.sensor != trained[0].sensor:
         return _augmented(views["noise"], "Gaussian noise")
     return Seen("yes")
+
+
+def _augmentation(recipe: Recipe) -> tuple[Mapping[str, Any], str]:
+    """Return the strengths of a training's augmentation, and how it blurs.
+
+    That of a network that looks at the frame alone is `ffpose.imaging.transforms.Augmentation`.
+    """
+    if looks_twice(PRESETS[recipe["model"]]):
+        return recipe["views"], "half the resolution blended in"
+    data = recipe["data"]
+    used = asdict(Augmentation(**data["augmentation"]))
+    used["noise"] = max(used[name] for name in ("noise", "shot_noise", "read_noise"))
+    if not data["augment"]:
+        used = dict.fromkeys(used, 0)
+    return used, f"Gaussian blur of up to {used['blur']:g} pixels of the input"
+
+
+def _as_trained(scene: Scene, recipe: Recipe) -> Scene:
+    """Return a set with a training's distances: one's own of that name may have others now."""
+    if scene.name not in SCENES:
+        own = recipe["model_fields"].get("distance_m", scene.distance_m)
+        scene = replace(scene, distance_m=tuple(own))
+    return scene.scaled(*recipe["data"].get("distance", (1.0, 1.0)))
 
 
 def _crafts(recipe: Recipe, sets: Mapping[str, Scene]) -> list[Any]:
