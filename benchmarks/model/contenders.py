@@ -139,11 +139,14 @@ def torch_alone(model: nn.Module) -> nn.Module:
     return with_attention(with_torch_fft(model), PlainAttention)
 
 
-def differences(calls: Mapping[str, Call], baseline: str) -> dict[str, float | None]:
+def differences(
+    calls: Mapping[str, Call], baseline: str, doubt_sigma: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, float | None]:
     """Return each contender's largest difference of outputs from the baseline's.
 
     Meters of translations and quaternions of one sign; relative to the largest number otherwise.
-    None for the contender without filters, which computes something else.
+    None for the contender without filters, which computes something else. ``doubt_sigma`` is as in
+    `ffpose.onnx.pose_graph.pose_differences`.
 
     Raises:
         RuntimeError: A float32 contender differs by more than `APART`, or gives NaN.
@@ -154,8 +157,12 @@ def differences(calls: Mapping[str, Call], baseline: str) -> dict[str, float | N
         if name == WITHOUT:
             found[name] = None
             continue
-        apart = pose_differences if "orientation" in expected else relative_differences
-        found[name] = largest = float(np.max([*apart(_named(call(), expected), expected).values()]))
+        got = _named(call(), expected)
+        if "orientation" in expected:
+            apart = pose_differences(got, expected, doubt_sigma)
+        else:
+            apart = relative_differences(got, expected)
+        found[name] = largest = float(np.max([*apart.values()]))
         if not largest <= (np.inf if name in LESS_PRECISE else APART):
             raise RuntimeError(f"the outputs by {name} differ from {baseline}'s by {largest:.1e}")
     return found

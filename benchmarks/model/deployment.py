@@ -45,6 +45,8 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.bench.timing import Latency, take_turns
 from ffpose.inference.in_torch import torch_threads
+from ffpose.models.base import BaseNetwork
+from ffpose.onnx.pose_graph import doubt_growth
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,9 @@ def _measure_case(
     threads: int,
 ) -> CaseResult:
     calls = contenders(measured, graphs, plan.names, batch, threads)
-    apart = differences(calls, plan.names[0])
+    model = measured.model
+    doubt = doubt_growth(model.config) if isinstance(model, BaseNetwork) else (0.0, 0.0)
+    apart = differences(calls, plan.names[0], doubt)
     latencies = take_turns({name: Timer(call) for name, call in calls.items()}, plan.seconds)
     return CaseResult(batch, threads, latencies, apart)
 
@@ -195,10 +199,9 @@ def _measure_stages(
     assert measured.weights is not None
     image = folder / "image.png"
     write_image(image)
-    pipelines = {
-        TORCH: Pipeline.of(measured.weights),
-        _runtime(plan): Pipeline.of(graphs["custom"].path, threads),
-    }
+    pipelines = {TORCH: Pipeline.of(measured.weights)}
+    if (runtime := _runtime(plan)) is not None:
+        pipelines[runtime] = Pipeline.of(graphs[GRAPH_OF[runtime]].path, threads)
     return measure_stages(pipelines, image, plan.seconds)
 
 
@@ -207,14 +210,14 @@ def _measure_starts(
 ) -> dict[str, ColdStart]:
     if measured.weights is None or plan.starts == 0:
         return {}
-    starts = {
-        TORCH: Start("torch", resolve(measured.weights)),
-        _runtime(plan): Start("onnxruntime", graphs["custom"].path),
-    }
+    starts = {TORCH: Start("torch", resolve(measured.weights))}
+    if (runtime := _runtime(plan)) is not None:
+        starts[runtime] = Start("onnxruntime", graphs[GRAPH_OF[runtime]].path)
     if OPENVINO in plan.names:
         starts[OPENVINO] = Start("openvino", graphs["matmul"].path)
     return measure_starts(starts, folder / "image.png", max(plan.threads), plan.starts)
 
 
-def _runtime(plan: DeploymentPlan) -> str:
-    return CUSTOM if CUSTOM in plan.names else PLAIN
+def _runtime(plan: DeploymentPlan) -> str | None:
+    """Return the contender that is deployed: the first of ONNX Runtime's; None without any."""
+    return next((name for name in (CUSTOM, PLAIN) if name in plan.names), None)

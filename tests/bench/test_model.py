@@ -75,6 +75,18 @@ def test_another_graph_takes_turns(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("at_once")
+def test_graphs_of_one_name_are_told_apart(tmp_path, capsys):
+    paths = [tmp_path / folder / "model.onnx" for folder in ("old", "new")]
+    for path in paths:
+        path.parent.mkdir()
+        bench.export_weights(bench.weights_of("speck", tmp_path), path)
+    words = ["--quick", "--json", "--compare", *map(str, paths)]
+    assert main(["bench", "model", "speck", *words]) == 0
+    (result,) = json.loads(capsys.readouterr().out)["results"]
+    assert list(result["latencies"])[-2:] == [*map(str, paths)]
+
+
+@pytest.mark.usefixtures("at_once")
 def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(bench, "APART", -1.0)
     assert main(["bench", "model", "speck", "--quick"]) == 1

@@ -26,10 +26,10 @@ from ffpose.config import PRESETS
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.in_torch import TorchSession, torch_threads
 from ffpose.inference.load import load
-from ffpose.models import build_network, open_weights
+from ffpose.models import build_network, open_weights, read_metadata
 from ffpose.onnx.backends import OnnxRuntimeSession, Runtime
 from ffpose.onnx.exporter import Exported, FilterChoice
-from ffpose.onnx.pose_graph import export_weights, pose_differences, random_images
+from ffpose.onnx.pose_graph import doubt_growth, export_weights, pose_differences, random_images
 
 APART = 1e-3
 """Largest difference of float32 poses that counts as rounding: meters, and parts of quaternions."""
@@ -60,11 +60,12 @@ def run(
             for runtime, filter in FILTERS.items()
             if find_spec(runtime) and find_spec("onnxruntime")  # which checks any export
         }
+        doubt = doubt_growth(read_metadata(weights).config)
         for count, batch in cases:
             with torch_threads(count):
                 calls = _backends(weights, graphs, batch, count, **fields)
-                apart = _differences(calls)
-                calls |= {graph.name: _call(graph, batch, count) for graph in compare}
+                apart = _differences(calls, doubt)
+                calls |= {_name(graph, compare): _call(graph, batch, count) for graph in compare}
                 timers = {name: Timer(call) for name, call in calls.items()}
                 found = take_turns(timers, 0.5 if quick else 5.0)
             about = {"batch": batch, "threads": count}
@@ -77,6 +78,12 @@ def run(
     print_results(f"{network}: milliseconds", rows, as_json, network=network, results=results)
     if plot is not None:
         draw_bars(plot, f"{network}: ms, p50 (bar) to p99 (line)", rows, 3, "p50", "p99")
+
+
+def _name(graph: Path, compared: Sequence[Path]) -> str:
+    """Return the name of a file, or its path where another has the same name."""
+    alone = [each.name for each in compared].count(graph.name) == 1
+    return graph.name if alone else str(graph)
 
 
 def weights_of(network: str, folder: Path) -> Path:
@@ -100,9 +107,12 @@ def _backends(
     return calls
 
 
-def _differences(calls: Calls) -> dict[str, float]:
+def _differences(calls: Calls, doubt_sigma: tuple[float, float]) -> dict[str, float]:
     torchs = calls["torch"]()
-    apart = {name: max(pose_differences(call(), torchs).values()) for name, call in calls.items()}
+    apart = {
+        name: max(pose_differences(call(), torchs, doubt_sigma).values())
+        for name, call in calls.items()
+    }
     for name, difference in apart.items():
         if not difference <= APART:
             raise RuntimeError(f"poses by {name} differ from torch's by {difference:.1e}")
