@@ -173,6 +173,25 @@ def test_half_precision_is_computed_in_float32(way):
         assert (each - wanted).abs().max() < 2**-5 * wanted.abs().max()
 
 
+def test_functional_transforms_take_torchs_attention():
+    """The loss of no drops, as of a rate that drops nearly nothing."""
+    model, x = SelfAttention(24, 3, 1e-9), torch.randn(2, 50, 24)
+
+    def loss(parameters):
+        return torch.func.functional_call(model, parameters, x).square().sum()
+
+    found = torch.func.grad(loss)(dict(model.named_parameters()))
+    expected = gradients(model.eval(), x)
+    for each, wanted in zip(found.values(), expected, strict=True):
+        torch.testing.assert_close(each, wanted)
+
+
+def test_the_default_device_is_not_the_querys():
+    inputs = heads()
+    with torch.device("meta"):
+        assert dropout_attention(*inputs, 0.5).device.type == "cpu"
+
+
 def test_compiled_training_is_torchs():
     model, x = SelfAttention(24, 3, 0.1), torch.randn(2, 50, 24)
     found = gradients(torch.compile(model, fullgraph=True, backend="aot_eager"), x)

@@ -6,6 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from scipy.special import log_softmax, softmax
 
+from ffpose.models import build_network
 from ffpose.nn.orientation import (
     NEAR_SQUARINGS,
     POWER_SQUARINGS,
@@ -228,6 +229,26 @@ def test_a_head_starts_at_no_rotation():
     assert len(head.start) == head.features
     decoded = head.decode(torch.tensor([head.start]))
     torch.testing.assert_close(decoded.abs(), torch.eye(4)[:1])
+
+
+def test_the_mean_of_half_precision_does_not_overflow():
+    """The 16th power of the matrix of (1, 1, 1, 1) / 2, whose largest entry is scaled to 1."""
+    q = torch.full((1, 4), 0.5, dtype=torch.float16)
+    mean = mean_quaternion(q[:, :, None] * q[:, None], q, NEAR_SQUARINGS)
+    assert mean.equal(q)
+
+
+def test_autocast_decodes_in_float32(monkeypatch):
+    torch.manual_seed(0)
+    fields = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2, "orientation_head": "bins"}
+    model = build_network("tiny", backbone_weights="none", **fields)
+    regress, found = model.regress, []
+    monkeypatch.setattr(model, "regress", lambda images: found.append(regress(images)) or found[-1])
+    with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
+        pose = model(torch.randn(3, 3, 64, 64))
+    assert found[0][1].dtype == torch.bfloat16
+    assert pose.orientation.equal(model.orientation.decode(found[0][1].float()))
+    assert pose.translation.dtype == torch.float32
 
 
 @pytest.mark.parametrize("squarings", [POWER_SQUARINGS, NEAR_SQUARINGS])

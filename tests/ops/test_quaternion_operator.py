@@ -85,6 +85,8 @@ def test_other_devices_compute_the_same(q):
     grad = torch.randn_like(q)
     torch.testing.assert_close(_forward_elsewhere(q), normalize_quaternion(q))
     torch.testing.assert_close(_backward_elsewhere(grad, q), backward_op(grad, q))
+    turned = grad.mT.contiguous().mT  # the result is contiguous whatever the gradient's strides
+    assert _backward_elsewhere(turned, q).is_contiguous()
 
 
 @pytest.mark.parametrize("function", [normalize_quaternion, _forward_elsewhere])

@@ -261,7 +261,12 @@ class FrameNetwork(BaseNetwork):
         """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
         self.check_images(images)
         translation, orientation = self.regress(images)
-        return PosePrediction(translation, self.orientation.decode(orientation))
+        kind = images.device.type
+        if not torch.is_autocast_enabled(kind):
+            return PosePrediction(translation, self.orientation.decode(orientation))
+        with torch.autocast(kind, enabled=False):  # half precision is for what is learned alone
+            found = self.orientation.decode(orientation.float())
+            return PosePrediction(translation.float(), found)
 
     def in_meters(self, output: Tensor) -> Tensor:
         """Return translations ``(B, 3)``, meters, for the outputs of the translation branch."""

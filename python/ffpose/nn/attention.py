@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, scaled_dot_product_attention
 
+from ffpose._internal.torch_internals import transforms_at_work
+
 LEVELS = 1 << 16
 """Number of values that a score's random number takes; four of them are drawn at a time."""
 
@@ -46,7 +48,7 @@ class _DropoutAttention(torch.autograd.Function):
         scale = query.shape[-1] ** -0.5
         scaled, keys, values = (x.flatten(0, 1) for x in (query * scale, key, value))
         result = query.new_empty(*scaled.shape[:2], values.shape[2])
-        mask = torch.empty(*scaled.shape[:2], keys.shape[1], dtype=torch.bool)
+        mask = query.new_empty(*scaled.shape[:2], keys.shape[1], dtype=torch.bool)
         for part in _blocks(mask):
             weights = _weights(scaled[part], keys[part])
             torch.le(_random(mask[part].shape), kept - 1 - LEVELS // 2, out=mask[part])
@@ -96,7 +98,7 @@ def _blocks(mask: Tensor) -> Iterator[slice]:
 def _random(shape: torch.Size) -> Tensor:
     """Draw 16-bit integers, four from each of torch's, which are drawn one after the other."""
     count = shape.numel()
-    bits = torch.empty(-(-count // 4), dtype=torch.int64).random_(-(2**63), None)
+    bits = torch.empty(-(-count // 4), dtype=torch.int64, device="cpu").random_(-(2**63), None)
     return bits.view(torch.int16)[:count].view(shape)
 
 
@@ -106,7 +108,8 @@ class SelfAttention(nn.Module):
     ``attention`` holds and initializes the parameters, and its forward would give the same result,
     but in evaluation on CPUs that writes all ``N x N`` scores to memory. This forward uses
     `scaled_dot_product_attention`, which processes the scores in blocks, in training as well. With
-    dropout of attention weights torch has no such kernel for CPUs; there `dropout_attention` is.
+    dropout of attention weights torch has no such kernel for CPUs; there `dropout_attention` is,
+    which can be differentiated once (twice within `torch.func`, or without dropout).
     """
 
     def __init__(self, dim: int, heads: int, dropout: float, queries: int | None = None) -> None:
@@ -127,8 +130,9 @@ class SelfAttention(nn.Module):
             for part, tokens in enumerate((x[:, : self.queries], x, x))
         )  # each (B, heads, N, dim / heads)
         dropout = attention.dropout if self.training else 0.0
-        # On CPUs, unless compiled, which unrolls its loop.
-        in_blocks = query.device.type == "cpu" and not torch.compiler.is_compiling()
+        # On CPUs, unless compiled, which unrolls its loop, or transformed by `torch.func`.
+        plain = not (torch.compiler.is_compiling() or transforms_at_work())
+        in_blocks = query.device.type == "cpu" and plain
         if dropout > 0 and in_blocks:
             mixed = dropout_attention(query, key, value, dropout)
         else:

@@ -145,15 +145,18 @@ def mean_quaternion(matrix: Tensor, start: Tensor, squarings: int = POWER_SQUARI
     It is the principal eigenvector (Markley et al., "Averaging Quaternions", 2007), computed by
     power iteration, which can be exported to ONNX, from initial vectors ``(B, 4)`` that are not
     orthogonal to the mean, such as one of the quaternions. ``2**squarings`` iterations suffice
-    where as high a power of the second eigenvalue over the first is nothing.
+    where as high a power of the second eigenvalue over the first is nothing. Half precision, which
+    the powers would overflow, is computed in float32.
     """
+    dtype, kind = start.dtype, torch.promote_types(matrix.dtype, torch.float32)
+    matrix, start = matrix.to(kind), start.to(kind)
     for number in range(squarings):
         if number % SCALED_EACH == 0:
             matrix = matrix / matrix.amax((-2, -1), keepdim=True)  # which is on the diagonal
         matrix = matrix @ matrix
     mean = (matrix @ start[:, :, None])[..., 0]
     unit: Tensor = mean / mean.norm(dim=-1, keepdim=True)
-    return unit
+    return unit.to(dtype)
 
 
 def super_fibonacci(count: int) -> Tensor:

@@ -29,10 +29,10 @@ from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_ar
 FORWARD = "ffpose::normalize_quaternion"
 BACKWARD = "ffpose::normalize_quaternion_backward"
 
-torch.library.define(FORWARD, "(Tensor q) -> Tensor", tags=(torch.Tag.pt2_compliant_tag,))
-torch.library.define(
-    BACKWARD, "(Tensor grad, Tensor q) -> Tensor", tags=(torch.Tag.pt2_compliant_tag,)
-)
+# On a GPU the check for zeros waits for it, which nothing may while a CUDA graph is captured.
+TAGS = (torch.Tag.pt2_compliant_tag, torch.Tag.cudagraph_unsafe)
+torch.library.define(FORWARD, "(Tensor q) -> Tensor", tags=TAGS)
+torch.library.define(BACKWARD, "(Tensor grad, Tensor q) -> Tensor", tags=TAGS)
 _forward_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion.default
 _backward_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion_backward.default
 
@@ -207,7 +207,7 @@ def _forward_elsewhere(q: Tensor) -> Tensor:
 def _backward_elsewhere(grad: Tensor, q: Tensor) -> Tensor:
     _check_gradient(grad, q)
     unit, norm = _unit_and_norm(q)
-    return ((grad - unit * _dot(unit, grad)) / norm).to(q.dtype)
+    return ((grad - unit * _dot(unit, grad)) / norm).to(q.dtype).contiguous()
 
 
 def _unit_and_norm(q: Tensor) -> tuple[Tensor, Tensor]:

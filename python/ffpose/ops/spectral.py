@@ -71,9 +71,9 @@ def spectral_filter(
         order.
 
     Raises:
-        ValueError: The layout is unknown, shapes or devices do not match, ``out`` shares a part
-            of its memory with another argument, or a call in another thread writes to memory of
-            this one, or uses ``out``.
+        ValueError: The layout is unknown, shapes or devices do not match; or, on the CPU, ``out``
+            shares a part of its memory with another argument, or a call in another thread writes to
+            memory of this one, or uses ``out``.
         TypeError: A dtype is not supported, or the dtypes do not match.
         RuntimeError: ``out`` is given where a gradient would be recorded or forward mode follows a
             tangent, or another thread gave a tensor other memory during the call.
