@@ -298,7 +298,9 @@ def render_motion(options: Namespace) -> None:
         for name in ("seconds", "rate"):
             if options[name] is not None:
                 raise ValueError(f"{name}: expected without --trajectory, whose times it has")
-        scene = chosen_scene(options, options.within or options.scene)
+        if options.within is not None:
+            raise ValueError("scene: expected SCENE --trajectory FILE, got --scene too")
+        scene = chosen_scene(options, options.scene)
         motion = read_trajectory(options.trajectory)
         sequence = Sequence.along(scene, motion, options.seed, size)
     else:
@@ -613,26 +615,31 @@ def export(options: Namespace) -> None:
 
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
-    from ffpose._internal.files import sha256
+    from ffpose._internal.files import atomic_write, sha256
     from ffpose.imaging.images import image_files
     from ffpose.inference.int8 import quantize_graph
     from ffpose.inference.source import TRACK_SUFFIX
-    from ffpose.onnx.pose_graph import export_weights
+    from ffpose.onnx.pose_graph import expect_graph_name, export_weights
 
     if options.int8 != (options.calibrate is not None):
         raise ValueError("int8: expected with --calibrate DIR, both or neither, got one")
     if options.int8 and options.track:
         raise ValueError("track: expected without --int8, got both")
+    expect_graph_name(options.out)
     expect_place(options.out)
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
         fields = inference_fields(options)
+        beside = options.out.with_suffix(TRACK_SUFFIX)
+        looks = Path(folder) / beside.name
         if options.track:
-            beside = options.out.with_suffix(TRACK_SUFFIX)
-            tell(export_weights(options.weights, beside, options.filter, takes_point=True, say=say))
-            fields["track_sha256"] = sha256(beside)
+            tell(export_weights(options.weights, looks, options.filter, takes_point=True, say=say))
+            fields["track_sha256"] = sha256(looks)
         tell(export_weights(options.weights, path, options.filter, say=say, **fields))
+        if options.track:  # beside the graph that it belongs to, which is there now
+            with atomic_write(beside) as temporary:
+                temporary.write_bytes(looks.read_bytes())
         if options.int8:
             quantized = quantize_graph(path, options.out, images, say=say)
             print(*quantized.lines(), sep="\n")

@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 import pytest
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, features
 
 from ffpose.errors import DataError
 from ffpose.imaging.images import MAX_PIXELS, find_images, open_image, read_rgb, to_rgb
@@ -163,6 +163,18 @@ def test_white_is_a_level_of_the_file_whatever_its_maxval(tmp_path, form, maxval
             found = np.asarray(to_rgb(image, path, white))[0, :, 0]
         expected = np.rint(np.minimum(np.array(levels) / white, 1) * 255)
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.skipif(not features.check("jpg_2000"), reason="this Pillow has no JPEG 2000")
+@pytest.mark.parametrize("white", [None, 4095])
+def test_jpeg_2000_of_more_than_eight_bits_is_refused_as_its_levels_are_lost(tmp_path, white):
+    """Pillow moves the levels of 12 bits up to 16, and writes 16."""
+    path = tmp_path / "deep.jp2"
+    Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(path)
+    with pytest.raises(DataError, match=r"deep\.jp2: expected .* of 8 bits per channel, got 16"):
+        read_rgb(path, white)
+    Image.new("RGB", (64, 64), (9, 80, 200)).save(path)
+    assert read_rgb(path).getpixel((5, 5)) == (9, 80, 200)
 
 
 def test_color_of_more_than_eight_bits_in_ppm_is_refused(tmp_path):

@@ -1,7 +1,8 @@
 """Quantization to int8, of a graph made by hand: what is quantized, what is lost."""
 
 import hashlib
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,35 @@ def test_images_for_a_network_of_undistorted_ones_are_taken_as_such(
     assert read_model_metadata(quantized.path).undistorted
     np.testing.assert_array_equal(quantized.translation_m, plain.translation_m)
     np.testing.assert_array_equal(quantized.rotation_deg, plain.rotation_deg)
+
+
+def test_calibration_images_are_of_the_camera_beside_them(graph, images, tmp_path):
+    """Of another focal length they are reprojected, as ffpose predict does it; a name is told."""
+    view = Camera(32, 16, 20.0, 20.0, 16.0, 8.0)
+    config = replace(read_model_metadata(graph).config, camera=(20.0, 20.0, 16.0, 8.0))
+    metadata = replace(read_model_metadata(graph), config=config, camera=view)
+    model = onnx.load(graph)
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, metadata.to_entries())
+    graph.write_bytes(sealed(model.SerializeToString()))
+    plain = int8.quantize_graph(graph, tmp_path / "plain.onnx", images)
+    longer = Camera(32, 16, 30.0, 30.0, 16.0, 8.0)
+    (images[0].parent / "camera.json").write_text(json.dumps(asdict(longer)))
+    turned = int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+    expected = [load(path, camera=longer)(images) for path in (graph, turned.path)]
+    lost = [np.linalg.norm(one.t - other.t) for one, other in zip(*expected, strict=True)]
+    np.testing.assert_allclose(turned.translation_m, lost, rtol=0, atol=1e-6)
+    assert np.abs(turned.translation_m - plain.translation_m).max() > 1e-6
+    Image.new("RGB", (32, 32)).save(images[1])
+    (images[0].parent / "camera.json").write_text(json.dumps(asdict(view)))
+    with pytest.raises(DataError, match=r"b\.PNG: expected .*; beside calibration images it is"):
+        int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+
+
+def test_a_graph_has_the_suffix_by_which_it_is_opened(capsys):
+    for words in (["--track"], ["--int8", "--calibrate", "images"]):
+        assert main(["export", "soyuz", "--out", "model", *words]) == 2
+        assert "out: expected a file that ends in .onnx, got model" in capsys.readouterr().err
 
 
 def test_images_are_sorted_and_other_files_left_out(images):

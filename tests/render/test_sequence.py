@@ -243,6 +243,7 @@ def test_files_that_are_no_motion(tmp_path, capsys, text, message):
         (["approach", "--mesh-center"], 2, "mesh-center: expected with a mesh, got none"),
         (["approach", "--mesh-two-sided"], 2, "mesh-two-sided: expected with a mesh, got none"),
         (["soyuz_hard", "--trajectory", "t.csv", "--rate", "1"], 2, "rate: expected without"),
+        (["soyuz_hard", "--trajectory", "t.csv", "--scene", "dragon_hard"], 2, "got --scene too"),
         (["approach", "--count", "3"], 2, "count: expected for a scene's images"),
         (["approach", "--start", "5"], 2, "start: expected for a scene's images"),
         (["approach", "--rate", "0"], 1, "expected seconds in 0…100000 and rate in 0…1000"),

@@ -181,6 +181,9 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
             has several channels of more than 8 bits, or the percentile of its levels is not above
             zero; or a PNG file lacks rows.
     """
+    if image.format == "JPEG2000" and (bits := _jpeg2000_bits(path)) > 8:
+        # Of which Pillow keeps 8, or which it moves up to 16.
+        raise DataError(f"expected a JPEG 2000 file of 8 bits per channel, got {bits}", path)
     if image.mode not in DEEP_MODES and _is_deep(image):
         expected = "8 bits per channel, or one channel of 16 bits with a white level"
         raise DataError(f"expected {expected}, got more than 8 in mode {image.mode}", path)
@@ -219,6 +222,14 @@ def _is_deep(image: Image.Image) -> bool:
     return (_maxval(image) or 0) > 255 or any(
         isinstance(part, str) and ";16" in part for part in _decoder_arguments(image)
     )
+
+
+def _jpeg2000_bits(path: Path) -> int:
+    """Return the most bits of a JPEG 2000 file's channels (ISO/IEC 15444-1, A.5.1: SOC and SIZ)."""
+    head = path.read_bytes()
+    size = head[head.find(b"\xff\x4f\xff\x51") + 4 :]
+    channels = int.from_bytes(size[36:38], "big")
+    return 1 + max(depth & 0x7F for depth in size[38 : 38 + 3 * channels : 3])
 
 
 def _maxval(image: Image.Image) -> int | None:

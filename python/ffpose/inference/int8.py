@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write, sha256
 from ffpose.arrays import rotation_error, translation_error
-from ffpose.errors import require
+from ffpose.errors import DataError, require
 from ffpose.inference.estimator import PoseEstimator
+from ffpose.inference.prediction import camera_beside
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import quantize
 from ffpose.onnx.metadata import read_model_metadata, sealed
@@ -50,13 +51,15 @@ def quantize_graph(
 ) -> Quantized:
     """Write the int8 form of a graph of ``ffpose export``, calibrated on typical images.
 
-    Images for a network that was trained on undistorted ones are taken as without distortion.
+    Images are of the camera of ``camera.json`` beside them, as `ffpose predict` takes them; without
+    that file they are of the network's camera, and without distortion.
 
     Raises:
         FileNotFoundError: The graph, an image or the operator's library does not exist.
-        ValueError: There are no images, the graph is already int8, or an image's aspect ratio
-            differs from the camera's.
-        ffpose.DataError: The graph was not written by ``ffpose export``, or an image is unreadable.
+        ValueError: There are no images, some lie beside another camera than others, or the graph is
+            already int8.
+        ffpose.DataError: The graph was not written by ``ffpose export``, an image is unreadable, or
+            its aspect ratio is not the camera's.
     """
     metadata = read_model_metadata(graph)
     if metadata.precision != "float32":
@@ -70,13 +73,15 @@ def quantize_graph(
         calibration_sha256=hashlib.sha256(digests.encode()).hexdigest(),
     )
     onnx = require("onnx", "export")
-    taken = {"camera": metadata.camera, "resize": metadata.camera is None}
-    read: dict[str, Any] = taken if metadata.undistorted else {}
+    camera = camera_beside(images)
+    read: dict[str, Any] = {"camera": camera}
+    if camera is None and metadata.undistorted:
+        read = {"camera": metadata.camera, "resize": metadata.camera is None}
     estimator = PoseEstimator(open_session(Path(graph), metadata.filter), metadata, **read)
     with tempfile.TemporaryDirectory(prefix="ffpose-int8-") as folder:
         say(f"calibrating with {len(images)} images")
         out = Path(folder) / "int8.onnx"
-        inputs = (estimator.preprocess(image)[None] for image in images)
+        inputs = (_input(estimator, image)[None] for image in images)
         nodes = quantize(Path(graph), out, metadata.filter, inputs)
         model = onnx.load(str(out))
     onnx.helper.set_model_props(model, described.to_entries())
@@ -92,3 +97,13 @@ def quantize_graph(
     return Quantized(
         Path(path), len(data), len(nodes), translation_error(t_hat, t), rotation_error(q_hat, q)
     )
+
+
+def _input(estimator: PoseEstimator, image: Path) -> NDArray[np.float32]:
+    """Return what the network sees of an image; an error names it."""
+    try:
+        return estimator.preprocess(image)
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(f"{error}; beside calibration images it is a camera.json", image) from error
