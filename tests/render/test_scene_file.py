@@ -1,5 +1,7 @@
 """Sets of one's own spacecraft."""
 
+import os
+
 import numpy as np
 import trimesh
 
@@ -22,3 +24,16 @@ def test_images_depend_on_the_ratio_of_size_and_distance_alone(tmp_path):
         for image in images[::2]:
             assert np.abs(image - images[1]).mean() < 0.5
             assert np.quantile(np.abs(image - images[1]), 0.98) <= 3
+
+
+def test_a_mesh_that_is_exported_again_is_read_again(tmp_path):
+    """In one process, as in a notebook."""
+    mesh, path = tmp_path / "box.stl", tmp_path / "scene.json"
+    pictures, stamp = [], 1_700_000_000_000_000_000
+    for height in (0.2, 1.7):
+        trimesh.creation.box((2.0, 1.0, height)).export(mesh)
+        SceneFile("box", mesh, 1.0, (4.0, 5.0), (180.0, 90.0, 180.0), CAMERA).write(path)
+        os.utime(path, ns=(stamp, stamp))
+        os.utime(mesh, ns=(stamp + len(pictures), stamp + len(pictures)))
+        pictures.append(render(str(path), 0, 0).image)
+    assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 20

@@ -108,8 +108,7 @@ def find_scene(
     if isinstance(scene, Scene):
         found = scene
     elif scene.endswith(SUFFIX):
-        path = Path(scene)
-        found = _opened(path, path.stat().st_mtime_ns)
+        found = _opened(read_scene_file(Path(scene)))
     elif scene in SCENES:
         found = SCENES[scene]
     else:
@@ -119,9 +118,18 @@ def find_scene(
     return replace(found, attitude_range_deg=attitude_range_deg)
 
 
+def _opened(file: SceneFile) -> Scene:
+    """Return the set of a file, opened once: until its mesh changes, not what that refers to."""
+    try:
+        status = file.mesh.stat()
+    except OSError:
+        return file.scene()  # which says what is wrong
+    return _opened_once(file, status.st_mtime_ns, status.st_size)
+
+
 @lru_cache(maxsize=4)
-def _opened(path: Path, _: int) -> Scene:
-    return read_scene_file(path).scene()
+def _opened_once(file: SceneFile, *_: int) -> Scene:
+    return file.scene()
 
 
 def read_scene_file(path: Path) -> SceneFile:

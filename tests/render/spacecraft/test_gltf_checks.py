@@ -302,3 +302,43 @@ def test_copies_of_what_draco_compressed_are_counted_by_its_own_triangles(tmp_pa
     header["nodes"] = [copied(header, 3)]
     with pytest.raises(DataError, match="at most 10 triangles, got 12"):
         load(tmp_path, header, contents)
+
+
+def test_draco_keeps_sixteen_bits_what_they_stand_for(tmp_path):
+    """DracoPy gives them in 32 bits, of which they would be nothing."""
+    half = np.full((4, 4), 32768, np.uint16)
+    content = DracoPy.encode(POINTS, FACES, quantization_bits=20, generic_attributes={0: half})
+    header, contents = draco(content)
+    number = next(
+        each["unique_id"]
+        for each in DracoPy.decode(content).attributes
+        if each["data"].dtype.kind == "u"
+    )
+    positions = next(
+        each["unique_id"]
+        for each in DracoPy.decode(content).attributes
+        if each["data"].dtype.kind == "f"
+    )
+    colors = {"componentType": 5123, "normalized": True, "count": 4, "type": "VEC4"}
+    header["accessors"].append(colors)
+    (primitive,) = header["meshes"][0]["primitives"]
+    primitive["attributes"]["COLOR_0"] = 2
+    packed = primitive["extensions"]["KHR_draco_mesh_compression"]
+    packed["attributes"] = {"POSITION": positions, "COLOR_0": number}
+    mesh = load(tmp_path, header, contents).mesh
+    np.testing.assert_allclose(mesh.colors[..., :3], 32768 / 65535, atol=1e-6)
+
+
+def test_a_material_that_nothing_has_may_lack_its_image(tmp_path):
+    header, contents = tetrahedron()
+    header["materials"].append({"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}})
+    header["textures"] = [{"source": 0}]
+    header["images"] = [{"uri": "nowhere.png"}]
+    assert len(load(tmp_path, header, contents).mesh.faces) == 4
+    header, contents = tetrahedron()
+    header["materials"][0] = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    header["textures"] = [{"source": 0}]
+    header["images"] = [{"uri": "nowhere.png"}]
+    header["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 0
+    with pytest.raises(DataError, match="nowhere"):
+        load(tmp_path, header, contents)

@@ -193,6 +193,9 @@ def test_an_mtl_files_color_and_texture(tmp_path, paint, light):
     ("paint", "field", "value"),
     [
         ("Ks 0.5 0.25 1", "reflectance", (0.04, 0.02, 0.08)),  # one stands for 8 %
+        ("Ks 0.5 0.25 1 # shiny", "reflectance", (0.04, 0.02, 0.08)),
+        ("Ks 0.5", "reflectance", (0.04, 0.04, 0.04)),  # one number stands for three
+        ("Ka 0.2\nKe 2 1 0.5 1", "emission", (2, 1, 0.5)),
         ("Ns 30", "roughness", 0.5),  # the fourth root of 2 / (30 + 2)
         ("Ns 30\nPr 0.3", "roughness", 0.3),
         ("Pm 0.75", "metallic", 0.75),

@@ -443,3 +443,81 @@ def test_vertices_without_coordinates_are_told(tmp_path):
     path.write_text(f"{head}{faces}0 0\n1 0\n0 1\n3 0 1 2\n")
     with pytest.raises(DataError, match=r"flat\.ply: expected x, y and z .*, got none of z"):
         load_craft(path)
+
+
+def colored_ply(tmp_path, faces, more="", binary=False):
+    """Write four vertices of `CORNER_COLORS` with texture coordinates, and rows of faces."""
+    form = "binary_little_endian" if binary else "ascii"
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "s", "t"))
+    names += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    head = f"ply\nformat {form} 1.0\n{more}element vertex 4\n{names}"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    points = [[float(word) for word in line.split()[1:]] for line in POINTS.splitlines()]
+    rows = [(*point, 0.5, 0.5, *color) for point, color in zip(points, CORNER_COLORS, strict=True)]
+    if binary:
+        body = b"".join(struct.pack("<5f3B", *row) for row in rows)
+        body += b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
+    else:
+        lines = [*rows, *((len(face), *face) for face in faces)]
+        body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
+    path = tmp_path / "colored.ply"
+    path.write_bytes(head.encode() + body)
+    return path
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_ply_file_with_texture_coordinates_and_no_texture_has_its_colors(tmp_path, binary):
+    """As Blender writes one of a mesh with a UV map."""
+    mesh = load_craft(colored_ply(tmp_path, [(0, 2, 1), (0, 1, 3)], binary=binary)).mesh
+    found = np.unique(mesh.colors[..., :3].reshape(-1, 3).astype(float), axis=0)
+    expected = sorted([SRGB[code] for code in color] for color in CORNER_COLORS)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_ply_file_of_several_textures_is_refused(tmp_path):
+    names = "comment TextureFile a.png\ncomment TextureFile b.png\n"
+    with pytest.raises(DataError, match=r"of at most one texture, got 2: save it as OBJ or glTF"):
+        load_craft(colored_ply(tmp_path, [(0, 2, 1)], names))
+
+
+def test_a_ply_face_of_two_corners_is_left_out_with_its_color(tmp_path):
+    path = tmp_path / "edge.ply"
+    names = "property list uchar int vertex_indices\n"
+    names += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    rows = ["0 0 0", "1 0 0", "0 1 0", "0 0 1", "2 0 1 255 0 0", "3 0 2 1 0 255 0"]
+    text = f"element face 2\n{names}end_header\n" + "\n".join(rows) + "\n"
+    head = "ply\nformat ascii 1.0\nelement vertex 4\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    path.write_text(head + text)
+    mesh = load_craft(path).mesh
+    assert len(mesh.faces) == 1
+    np.testing.assert_array_equal(mesh.colors[0, 0, :3], [0, 1, 0])
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_the_corners_of_a_ply_face_are_the_list_of_that_name(tmp_path, binary):
+    """Though a list of six texture coordinates stands before it."""
+    form = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty list uchar float texcoord\n"
+    head += "property list uchar int vertex_indices\nend_header\n"
+    points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    if binary:
+        body = b"".join(struct.pack("<3f", *point) for point in points)
+        body += 2 * struct.pack("<B6fB3i", 6, *[0.5] * 6, 3, 0, 2, 1)
+    else:
+        rows = [*points, *2 * [(6, *[0.5] * 6, 3, 0, 2, 1)]]
+        body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+    (tmp_path / "list.ply").write_bytes(head.encode() + body)
+    np.testing.assert_array_equal(
+        corners(tmp_path / "list.ply"), 2 * [[(0, 0, 0), (0, 1, 0), (1, 0, 0)]]
+    )
+
+
+def test_an_stl_solid_may_be_named_vertex(tmp_path):
+    text = trimesh.creation.box().export(file_type="stl_ascii")
+    plain = shape(tmp_path, "plain.stl", text)
+    assert text.startswith("solid")
+    named = "solid Vertex_Holder" + text[text.index("\n") :]
+    np.testing.assert_array_equal(shape(tmp_path, "named.stl", named), plain)

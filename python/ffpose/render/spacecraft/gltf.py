@@ -116,9 +116,10 @@ def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     # What Draco compressed may have more triangles than the document states.
     count = sum(item.copies * len(shapes[item.key]["faces"]) for item in placed)
     document.check_count(count, most_faces, "triangles")
-    materials = Materials(document.header, document.image_bytes, assets.source)
+    of = {key: document.primitive(key).get("material") for key in drawn}
+    materials = Materials(document.header, set(of.values()), document.image_bytes, assets.source)
     return [
-        _part(shapes[item.key], materials, document.primitive(item.key).get("material"), item)
+        _part(shapes[item.key], materials, of[item.key], item)
         for item in placed
         if len(shapes[item.key]["faces"])
     ]
@@ -355,12 +356,23 @@ class _Document:
         try:
             found = draco.decode(content)
             values = {each["unique_id"]: np.asarray(each["data"]) for each in found.attributes}
-            shape = {name: values[number] for name, number in header["attributes"].items()}
+            shape = {
+                name: self._narrowed(values[number], primitive["attributes"][name])
+                for name, number in header["attributes"].items()
+            }
             return shape | {"faces": np.asarray(found.faces).reshape(-1, 3)}
         except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
             name = self.header["meshes"][mesh].get("name", mesh)
             text = f"expected Draco data of mesh {name!r} that can be decoded"
             raise DataError(f"{text}, got {one_line(error)}", self.source) from error
+
+    def _narrowed(self, values: NDArray[Any], accessor: int) -> NDArray[Any]:
+        """Return whole numbers that Draco decoded in the type that they have without it.
+
+        DracoPy gives those of 16 bits in 32, which normalized ones are fractions of.
+        """
+        code = CODES[self.header["accessors"][accessor]["componentType"]]
+        return values.astype(code) if values.dtype.kind == "u" else values
 
     def buffer(self, number: int) -> bytes:
         """Return a buffer: in the file, or beside it."""

@@ -8,7 +8,7 @@ shadow too. What transmits lets through as much light without bending it.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -64,18 +64,26 @@ LIGHT = linear(np.arange(256) / 255).astype(np.float32)
 class Materials:
     """The materials of a document, each with the sources of its textures' coordinates.
 
-    ``image_bytes`` returns the content of an image and its name for errors. What is left out of the
-    materials is told.
+    ``used`` are the numbers of those that something drawn has, None among them for the default one:
+    others, as of variants, may lack their images. ``image_bytes`` returns the content of an image
+    and its name for errors. What is left out of the materials is told.
     """
 
     def __init__(
-        self, header: Header, image_bytes: Callable[[int], tuple[bytes, str]], path: Path
+        self,
+        header: Header,
+        used: Set[int | None],
+        image_bytes: Callable[[int], tuple[bytes, str]],
+        path: Path,
     ) -> None:
         self._header = header
         self._image_bytes = image_bytes
         self._path = path
         self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
-        materials = header.get("materials", [])
+        materials = [
+            header["materials"][number]
+            for number in sorted(number for number in used if number is not None)
+        ]
         slots = [slot for material in materials for slot in _maps(material).values()]
         keys = [key for slot, convert in slots if (key := self._key(slot, convert)) is not None]
         self._pyramids = Pyramids(keys, self._opened, path)

@@ -71,7 +71,7 @@ class Assets:
                 self.defined |= {begun} - {b""}
                 keeps = begun in self.used  # textures of others may be missing
             if keeps:
-                kept.append(line)
+                kept.append(_three_numbers(line))
         return b"\n".join(kept)
 
     def _names(self, line: str) -> list[str]:
@@ -169,6 +169,14 @@ def _material_name(line: bytes) -> bytes | None:
     """Return the name of the material that begins on a line of an MTL file."""
     key, *name = line.split() or [b""]
     return b" ".join(name) if key.lower() == b"newmtl" else None
+
+
+def _three_numbers(line: bytes) -> bytes:
+    """Return an MTL file's color as trimesh reads it: one number stands for three (``Ks 0.5``)."""
+    key, *words = line.partition(b"#")[0].split() or [b""]
+    if key.lower() not in (b"ka", b"kd", b"ks", b"ke") or words[:1] in ([b"spectral"], [b"xyz"]):
+        return line
+    return b" ".join([key, *(3 * words if len(words) == 1 else words[:3])])
 
 
 def as_utf8(content: bytes) -> bytes:

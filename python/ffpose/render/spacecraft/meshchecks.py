@@ -19,6 +19,12 @@ from ffpose.errors import DataError
 from ffpose.render.spacecraft.meshassets import Assets, as_utf8
 from ffpose.render.spacecraft.polygons import folded, triangles
 
+MAPPED = re.compile(rb"(?m)^(property\s[^\n]*\s)(s|t|u|v|texture_u|texture_v|texcoord)(?=\s*$)")
+"""Texture coordinates in the head of a PLY file."""
+
+SOLID = re.compile(rb"(?im)^([ \t]*(?:end)?solid)\b[^\r\n]*")
+"""The line of a solid's name in an ASCII STL file."""
+
 KINDS = {b"v": "vertices", b"vt": "texture coordinates", b"vn": "normals"}
 """What an OBJ file's faces name, in the order in which a corner has them."""
 
@@ -191,7 +197,7 @@ def _stl(content: bytes, source: Path) -> bytes:
         if b"\0" not in solid:
             if b"outer loop" in solid.lower().rpartition(b"endsolid")[2]:
                 raise DataError("expected endsolid, got none: the file is cut short", source)
-            return solid
+            return SOLID.sub(rb"\1", solid)  # trimesh counts the word vertex in names too
     if len(content) < STL_HEAD:
         text = f"expected {STL_HEAD} bytes before the triangles, got {len(content)}"
         raise DataError(text, source)
@@ -209,6 +215,13 @@ def _ply(content: bytes, source: Path) -> bytes:
     head, mark, body = content.partition(b"end_header")
     if not mark:
         raise DataError("expected a head that ends with end_header, got none", source)
+    textures = set(re.findall(rb"(?m)^comment\s+TextureFile\s+(\S[^\r\n]*)", head))
+    if len(textures) > 1:
+        got = f"{len(textures)}: save it as OBJ or glTF"
+        raise DataError(f"expected a PLY file of at most one texture, got {got}", source)
+    if not textures:  # for coordinates without one trimesh would drop the colors
+        head = MAPPED.sub(rb"\1_\2", head)
+    content = head + mark + body
     lines = [line.split() for line in head.splitlines()]
     forms = [words[1] for words in lines if words[:1] == [b"format"] and len(words) > 1]
     if forms[:1] != [b"ascii"]:
@@ -219,7 +232,7 @@ def _ply(content: bytes, source: Path) -> bytes:
         head = head.replace(forms[0], b"ascii", 1)
         body = b"\n".join([b"", *_unpacked(body, lines, order, source)])
     rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
-    names = iter([words[-1] for words in lines if words[:1] == [b"property"]])
+    names = iter(_names(lines))
     start, points, cut = 0, list[list[float]](), list[list[bytes]]()
     for name, count, properties in _ply_elements(lines, source):
         its = [next(names) for _ in properties]
@@ -240,25 +253,41 @@ def _ply(content: bytes, source: Path) -> bytes:
             places = [its.index(axis) for axis in (b"x", b"y", b"z")]
             points = [[float(row[place]) for place in places] for row in found]
         if name == "face":
-            found = [part for row in found for part in _cut(row, properties, points)]
+            place = _corners_at(its, properties)
+            found = [part for row in found for part in _cut(row, properties, place, points)]
             head = re.sub(rb"(element\s+face\s+)\d+", rb"\g<1>%d" % len(found), head)
         cut += found
     return head + mark + b"\n" + b"\n".join([*map(b" ".join, cut), b""])
 
 
+def _names(lines: list[list[bytes]]) -> list[bytes]:
+    """Return the names of a PLY head's properties."""
+    return [words[-1] for words in lines if words[:1] == [b"property"]]
+
+
+def _corners_at(names: Sequence[bytes], properties: Properties) -> int | None:
+    """Return which property of a face are its corners: the list of that name, or the only one."""
+    lists = [place for place, (length, _) in enumerate(properties) if length]
+    named = [place for place in lists if names[place] in (b"vertex_index", b"vertex_indices")]
+    return next(iter(named or lists), None)
+
+
 def _cut(
-    row: list[bytes], properties: Properties, points: list[list[float]]
+    row: list[bytes], properties: Properties, place: int | None, points: list[list[float]]
 ) -> Iterator[list[bytes]]:
-    """Yield the rows of a polygon's triangles: trimesh would leave their colors to the polygon."""
+    """Yield the rows of a polygon's triangles: trimesh would leave their colors to the polygon.
+
+    ``place`` is that of the corners among the properties. Fewer than three are no face.
+    """
     cells, at = list[list[bytes]](), 0
     for length, _ in properties:
         size = 1 + int(row[at]) if length else 1
         cells.append(row[at : at + size])
         at += size
-    listed: list[bytes] = next((cell[1:] for cell in cells if len(cell) > 1), [])
+    listed = [] if place is None else cells[place][1:]
     number = len(listed)
     if number <= 3:
-        yield row
+        yield from [row] if number == 3 or place is None else []
         return
     faces = [(0, k, k + 1) for k in range(1, number - 1)]
     corners = [int(word) for word in listed]
@@ -299,14 +328,16 @@ def _ply_elements(lines: list[list[bytes]], source: Path) -> list[tuple[str, int
 
 def _all_alike(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> bool:
     """Return whether all rows of an element are as long as its first, and faces triangles."""
-    at = 0
+    at, names = 0, iter(_names(lines))
     try:
         for name, count, properties in _ply_elements(lines, source):
+            place = _corners_at([next(names) for _ in properties], properties)
             if count:
                 words, end = _binary_row(body, at, properties, order)
-                first = next((k for k, (length, _) in enumerate(properties) if length), None)
-                if name == "face" and first is not None and words[first] != b"3":
-                    return False
+                if name == "face" and place is not None:
+                    before, _ = _binary_row(body, at, properties[:place], order)
+                    if words[len(before)] != b"3":
+                        return False
                 at += count * (end - at)
     except struct.error:
         return False

@@ -23,7 +23,7 @@ from ffpose.render.spacecraft.trimeshparts import read_trimesh
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf")
 MAX_FACES = 2_000_000
 
-READING = 5
+READING = 6
 """Version of how files are read; images of a file that was read otherwise are rendered again."""
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
