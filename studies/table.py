@@ -115,7 +115,7 @@ def epoch_within(history: Sequence[Row], cpu_seconds: float) -> Row | None:
     found, samples, spent = None, 0.0, 0.0
     for row in history:
         samples, spent = samples + float(row["samples"]), spent + float(row["cpu_seconds"])
-        if spent > cpu_seconds:
+        if spent > cpu_seconds * (1 + 1e-9):  # sums of floats differ by the order of their terms
             break
         found = {**row, "samples": samples, "cpu_seconds": spent}
     return found

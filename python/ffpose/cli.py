@@ -632,14 +632,14 @@ def export(options: Namespace) -> None:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
         fields = inference_fields(options)
         beside = options.out.with_suffix(TRACK_SUFFIX)
-        looks = Path(folder) / beside.name
+        track = Path(folder) / beside.name
         if options.track:
-            tell(export_weights(options.weights, looks, options.filter, takes_point=True, say=say))
-            fields["track_sha256"] = sha256(looks)
+            tell(export_weights(options.weights, track, options.filter, takes_point=True, say=say))
+            fields["track_sha256"] = sha256(track)
         tell(export_weights(options.weights, path, options.filter, say=say, **fields))
-        if options.track:  # beside the graph that it belongs to, which is there now
+        if options.track:  # not before the graph that it belongs to is there
             with atomic_write(beside) as temporary:
-                temporary.write_bytes(looks.read_bytes())
+                temporary.write_bytes(track.read_bytes())
         if options.int8:
             quantized = quantize_graph(path, options.out, images, say=say)
             print(*quantized.lines(), sep="\n")

@@ -13,6 +13,7 @@ import torch
 
 from ffpose._internal import zoo
 from ffpose._internal.seeds import CHOICES
+from ffpose.demo import config as demo_config
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import FOLDERS
 from ffpose.demo.run import run
@@ -132,6 +133,15 @@ def test_all_images_are_judged_against_labels_of_the_seed(posed):
 def test_images_are_of_seeds_that_no_training_uses():
     config = DemoConfig(train=True)
     assert config.training(Path("x")).data.seed < CHOICES.start <= config.seed
+
+
+@pytest.mark.parametrize(("device", "processes"), [("cpu", 2), ("cuda", 1)])
+def test_one_process_trains_on_a_gpu(monkeypatch, device, processes):
+    """A second one would have no GPU of its own."""
+    monkeypatch.setattr(demo_config, "find_device", lambda name: torch.device(device))
+    training = DemoConfig(train=True).training(Path("x"))
+    assert training.processes == processes
+    assert training.batch_size * processes == 32
 
 
 def test_the_views_rendered_are_those_that_the_settings_name(trained):

@@ -158,14 +158,18 @@ def test_a_network_of_the_frame_sees_distortion_as_in_training(image_set, tmp_pa
         "tiny", backbone_weights="none", image_size=(48, 64), depth=1, dim=16, heads=2, **fields
     )
     paths = {}
-    for distorted in (True, False):
+    for distorted, data in ((True, {"distortion": list(BENT.distortion)}), (False, {})):
         paths[distorted] = tmp_path / f"{distorted}.safetensors"
-        model.save_pretrained(paths[distorted], data={"distorted": distorted})
+        model.save_pretrained(paths[distorted], data=data)
     as_they_are = evaluate(paths[False], "urso", straight)
     found = evaluate(paths[True], "urso", root)
     np.testing.assert_array_equal(found.predicted, as_they_are.predicted)
     with pytest.raises(ValueError, match=r"without distortion, got .*; --data.undistort takes it"):
         evaluate(paths[False], "urso", root)
+    with pytest.raises(ValueError, match=r"with the distortion \(-0.3, 0.05, .*, got a set of"):
+        evaluate(paths[True], "urso", straight, reproject=True)
+    with pytest.raises(ValueError, match=r"with the distortion \(-0.3, 0.05, .*; --resize takes"):
+        load(paths[True], camera=replace(BENT, distortion=(0.1, 0, 0, 0, 0)), device="cpu")
     undistorted = evaluate(paths[False], "urso", root, decoding=Decoding(True))
     assert np.abs(undistorted.predicted - found.predicted).max() > 1e-4
     image = found.dataset.records[0].image

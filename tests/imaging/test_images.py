@@ -166,13 +166,18 @@ def test_white_is_a_level_of_the_file_whatever_its_maxval(tmp_path, form, maxval
 
 
 @pytest.mark.skipif(not features.check("jpg_2000"), reason="this Pillow has no JPEG 2000")
-@pytest.mark.parametrize("white", [None, 4095])
-def test_jpeg_2000_of_more_than_eight_bits_is_refused_as_its_levels_are_lost(tmp_path, white):
-    """Pillow moves the levels of 12 bits up to 16, and writes 16."""
+def test_jpeg_2000_has_eight_bits_or_sixteen_of_gray(tmp_path):
+    """Of other depths Pillow moves the levels up to 16 bits, or keeps 8 of them."""
     path = tmp_path / "deep.jp2"
     Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(path)
-    with pytest.raises(DataError, match=r"deep\.jp2: expected .* of 8 bits per channel, got 16"):
-        read_rgb(path, white)
+    assert read_rgb(path, 2000).getpixel((5, 5)) == (128, 128, 128)
+    depth = path.read_bytes().rfind(b"\xff\x4f\xff\x51") + 42  # ISO/IEC 15444-1, A.5.1: Ssiz
+    data = bytearray(path.read_bytes())
+    assert data[depth] == 15
+    data[depth] = 11
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=r"deep\.jp2: expected .* got 12 in mode I;16"):
+        read_rgb(path, 2000)
     Image.new("RGB", (64, 64), (9, 80, 200)).save(path)
     assert read_rgb(path).getpixel((5, 5)) == (9, 80, 200)
 

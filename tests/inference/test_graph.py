@@ -433,6 +433,24 @@ def test_a_network_that_looks_once_has_no_fewer_looks(files, tmp_path):
     assert main(words) == 1
 
 
+def test_an_export_that_fails_leaves_the_pair_that_is_there(tmp_path, monkeypatch, capsys):
+    """The single look is written beside the graph that names it, or neither."""
+    paths = [tmp_path / name for name in ("m.onnx", "m.track.onnx")]
+    for path in paths:
+        path.write_bytes(b"before")
+
+    def export(weights, path, filter, *, takes_point=False, **_):
+        if not takes_point:
+            raise RuntimeError("graph and module differ")
+        path.write_bytes(b"after")
+        return Exported(path, "none", 0)
+
+    monkeypatch.setattr(pose_graph, "export_weights", export)
+    assert main(["export", "soyuz", "--track", "--out", str(paths[0])]) == 1
+    assert "graph and module differ" in capsys.readouterr().err
+    assert [path.read_bytes() for path in paths] == [b"before", b"before"]
+
+
 def test_a_graph_is_exported_with_fewer_looks(tmp_path, monkeypatch):
     """Network and metadata have one second look; poses of such a graph are compared by `files`."""
     torch.manual_seed(0)

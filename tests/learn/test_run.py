@@ -8,6 +8,7 @@ import subprocess
 import sys
 from base64 import b64encode
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -254,6 +255,12 @@ def test_a_run_does_not_go_on_with_another_file_of_the_same_name(tmp_path, name)
     path.write_text("another")
     with pytest.raises(ValueError, match=f"expected {name}_sha256"):
         run._Record.open(config, "craft")
+    record = run._Record.open(replace(config, out=tmp_path / "plain", **{name: "none"}), "craft")
+    (tmp_path / "plain").mkdir()
+    record.plans, record.speed = (TrainingPlan("first", 40, 1),) * 2, Speed(9.0, 99.0)
+    record.write(tmp_path / "plain")
+    with pytest.raises(ValueError, match=f"expected {name} none as the run in .*, got"):
+        run._Record.open(replace(config, out=tmp_path / "plain"), "craft")
 
 
 @pytest.mark.parametrize(

@@ -220,7 +220,7 @@ def test_images_with_the_distortion_of_those_trained_on_stay_as_they_are(run, fo
     images = folder({"a.png": png(picture(64, 48))})
     for distorted in (True, False):
         graph = tmp_path / f"{distorted}.onnx"
-        decoding = {"undistorted": False, "white": None, "distorted": distorted}
+        decoding = {"undistorted": False, "distortion": list(LENS) if distorted else None}
         graph.write_bytes(sealed(projections(decoding=json.dumps(decoding))))
         code, (document,), _ = run(graph, "--images", images, "--camera", file)
         assert code == 0
@@ -228,3 +228,7 @@ def test_images_with_the_distortion_of_those_trained_on_stay_as_they_are(run, fo
         _, (as_it_is,), _ = run(graph, "--images", images, "--resize")
         found.append(document["translation_m"] == as_it_is["translation_m"])
     assert found == [True, False]
+    CAMERAS["the view's"].write(file)
+    code, documents, (error,) = run(tmp_path / "True.onnx", "--images", images, "--camera", file)
+    assert (code, documents) == (1, [])
+    assert "expected that of training, with the distortion [-0.3, 0.1," in error

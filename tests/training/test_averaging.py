@@ -108,18 +108,26 @@ def test_a_state_goes_on_as_if_it_had_not_been_interrupted(share):
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_a_stage_averages_anew_with_a_share_of_the_same_initial_weights(share):
-    """As the first stage did, by hand: from the weights that the network goes on from."""
+    """As the first stage did, by hand: from the average that the network goes on from."""
     model, generator = network(), torch.Generator().manual_seed(1)
     average = AveragedModel(model, 0.9, share)
     initial = copy.deepcopy(model.state_dict())
     for _ in range(5):
         move(model, generator)
         average.update()
-    begun = copy.deepcopy(model.state_dict())
-    average.restart()
+    begun = copy.deepcopy(average.model.state_dict())
+    average.restart(begun)
     assert all(
         torch.equal(value, begun[name]) for name, value in average.model.state_dict().items()
     )
+    for name, value in model.state_dict().items():
+        if value.is_floating_point():  # which the share of the initial weights makes the average
+            torch.testing.assert_close(value.lerp(initial[name], share), begun[name])
+    frozen = copy.deepcopy(average)
+    for _ in range(9):
+        frozen.update()
+    for name, value in frozen.model.state_dict().items():
+        torch.testing.assert_close(value, begun[name])
     move(model, generator)
     average.update()
     stays = 1 / (1 + WARM_UP)
@@ -170,8 +178,10 @@ def test_a_stage_begins_from_the_best_weights_and_keeps_the_share_of_the_initial
     best = {name: value + 1 for name, value in run.model.state_dict().items()}
     engine._return_to_best(run, TrainState(best=best))
     average = run.average.state_dict()
+    for name, value in run.model.state_dict().items():
+        if value.is_floating_point():
+            torch.testing.assert_close(value.lerp(average["initial"][name], 0.25), best[name])
     for expected, found in (
-        (best, run.model.state_dict()),
         (best, average["model"]),
         (load_file(begun_from), average["initial"]),
     ):

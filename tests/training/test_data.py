@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose import DataError
 from ffpose.datasets import patches
 from ffpose.evaluation.evaluate import evaluate
+from ffpose.geometry import Camera
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PRESETS, read_metadata
+from ffpose.render import SceneFile
 from ffpose.training.calibration_images import open_calibration
 from ffpose.training.config import (
     CalibrationImages,
@@ -238,6 +241,21 @@ def second_look_config(root, out, **fields):
     loss = ObjectLossConfig(coordinates=0, mask=0, keypoints=1)
     values = {"model": "polar", "model_fields": small, "data": data, "object_loss": loss}
     return TrainConfig(out=out, epochs=1, batch_size=2, device="cpu", **(values | fields))
+
+
+def test_what_a_second_look_cannot_learn_is_refused(own, tmp_path):
+    """Keypoints of a mesh, which names none; images without the object in batches of one."""
+    config = second_look_config(own, tmp_path / "run")
+    with pytest.raises(ValueError, match="batch_size: expected 2 or more"):
+        train(replace(config, batch_size=1))
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "box.stl")
+    limits, camera = (180.0, 90.0, 180.0), Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+    scene = SceneFile("box", tmp_path / "box.stl", 1.0, (5.0, 9.0), limits, camera)
+    scene.write(tmp_path / "box.json")
+    counts = {"count": 4, "validation": 2, "calibration": 2}
+    data = DataConfig("scenes", tmp_path / "views", scene=str(tmp_path / "box.json"), **counts)
+    with pytest.raises(ValueError, match=r"object_loss\.keypoints: expected 0 .*, got 1"):
+        train(replace(config, data=data))
 
 
 def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):

@@ -15,7 +15,7 @@ from ffpose._internal.files import held
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.models import FilterformerPose, read_metadata
-from ffpose.training import DataConfig, OptimizerConfig, Stage
+from ffpose.training import DataConfig, OptimizerConfig, Stage, engine
 from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
 from ffpose.training.losses import JointLoss
@@ -240,6 +240,17 @@ def test_a_resume_that_is_refused_changes_no_file(begun, change, message):
     with pytest.raises((ValueError, OSError), match=message):
         run_quietly(replace(begun, **change), resume=True)
     assert {path.name: path.read_bytes() for path in begun.out.iterdir()} == before
+
+
+def test_a_run_does_not_go_on_modulo_another_symmetry(begun):
+    """Though the path of its file is the same: what it holds counts."""
+    run = build_run(begun)
+    metadata = read_metadata(begun.out / "last.safetensors")
+    folded = metadata.recipe | {"symmetry": [{"axis": [0, 0, 1], "fold": 2}]}
+    state = RunFolder(begun.out).load_state()
+    with pytest.raises(ValueError, match=r"symmetry: expected 2-fold .*, got none; train modulo"):
+        engine._restore(run, state, replace(metadata, recipe=folded))
+    engine._restore(run, state, metadata)
 
 
 def test_a_run_that_is_refused_leaves_no_folder(tmp_path):

@@ -161,6 +161,11 @@ impl Camera {
         Self { width, height, cx, cy, ..self.clone() }
     }
 
+    /// The distortion of its images; `None` for none.
+    pub fn lens(&self) -> Option<[f64; 5]> {
+        self.distortion.filter(|numbers| numbers.iter().any(|number| *number != 0.0))
+    }
+
     /// Whether size and intrinsics are another's, but for a thousandth.
     pub fn agrees_with(&self, other: &Self) -> bool {
         let numbers = |camera: &Self| {

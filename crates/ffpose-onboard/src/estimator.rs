@@ -260,9 +260,15 @@ fn adapt(metadata: &mut Metadata, images: &Taken) -> Result<Option<Camera>> {
              does not; --resize takes images of any camera as they are",
         )
     })?;
-    let as_trained = metadata.distorted || source.distortion.is_none();
-    if as_trained && metadata.preprocessing.camera(&source).agrees_with(&view) {
+    let agrees = metadata.preprocessing.camera(&source).agrees_with(&view);
+    if agrees && source.lens() == metadata.distortion {
         return Ok(Some(source));
+    }
+    if let Some(distortion) = metadata.distortion {
+        return Err(Error::new(format!(
+            "--camera: expected that of training, with the distortion {distortion:?}, which was not taken out, got another; \
+             --resize takes images as they are"
+        )));
     }
     metadata.preprocessing.reprojection = Some(Reprojection { source, view });
     Ok(None)

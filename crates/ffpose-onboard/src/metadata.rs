@@ -44,8 +44,8 @@ pub struct Metadata {
     pub tracking: Map<String, Value>,
     /// Whether the images trained on were undistorted.
     pub undistorted: bool,
-    /// Whether they had distortion, and were taken as they are.
-    pub distorted: bool,
+    /// Their distortion, where they were taken as they are.
+    pub distortion: Option<[f64; 5]>,
     /// What became 255 in images trained on that have more than 8 bits.
     pub white: Option<White>,
 }
@@ -107,7 +107,12 @@ impl Metadata {
                 Some(_) => return Err(Error::new("tracking: expected settings by their names")),
             },
             undistorted: decoding["undistorted"] == true,
-            distorted: decoding["distorted"] == true,
+            distortion: match &decoding["distortion"] {
+                Value::Null => None,
+                value => Some(serde_json::from_value(value.clone()).map_err(|error| {
+                    Error::new(format!("decoding: expected a distortion of five numbers: {error}"))
+                })?),
+            },
             white: match &decoding["white"] {
                 Value::Null => None,
                 value => Some(White::from_json(value)?),
@@ -317,11 +322,16 @@ mod tests {
             let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
             let metadata = Metadata::of(&sealed(model(&entries))).unwrap();
             assert_eq!((metadata.undistorted, metadata.white), expected);
-            assert!(!metadata.distorted);
+            assert!(metadata.distortion.is_none());
         }
-        let decoding = r#"{"undistorted": false, "white": null, "distorted": true}"#;
-        let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
-        assert!(Metadata::of(&sealed(model(&entries))).unwrap().distorted);
+        let of = |distortion: &str| {
+            let decoding = format!(r#"{{"undistorted": false, "distortion": {distortion}}}"#);
+            let entries = [&ENTRIES[..], &[("decoding", decoding.as_str())]].concat();
+            Metadata::of(&sealed(model(&entries)))
+        };
+        let lens = of("[-0.3, 0.1, 0, 0, 0.5]").unwrap().distortion;
+        assert_eq!(lens, Some([-0.3, 0.1, 0.0, 0.0, 0.5]));
+        assert!(of("[-0.3, 0.1]").is_err());
     }
 
     #[test]

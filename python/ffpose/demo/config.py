@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ffpose._internal.seeds import CHOICES
+from ffpose.models.base import find_device
 from ffpose.render import Scene, find_scene
 from ffpose.training import DataConfig, TrainConfig
 from ffpose.training.config import MUON, PatchAugmentation
@@ -68,7 +69,9 @@ class DemoConfig:
         """Return a training that learns from 96,000 samples, in folders of the demo's.
 
         Its views vary less than those of the shipped weights: a short training learns sooner.
+        On a GPU one process trains, on a CPU all workers do.
         """
+        processes = self.workers if find_device("auto").type == "cpu" else 1
         return TrainConfig(
             data=DataConfig(
                 "scenes",
@@ -87,8 +90,8 @@ class DemoConfig:
             model_fields=dict(self.model_fields),
             backbone_weights="none",
             epochs=self.epochs,
-            batch_size=max(1, 32 // self.workers),
-            processes=self.workers,
+            batch_size=max(1, 32 // processes),
+            processes=processes,
             ema=0.998,
             autocast="auto",
             optimizer=replace(MUON, warmup_epochs=1.0),

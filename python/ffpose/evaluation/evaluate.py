@@ -52,7 +52,7 @@ from ffpose.geometry import Camera, DistortedCamera, FloatArray, Pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.reprojection import Reprojection, agree, bends
+from ffpose.imaging.reprojection import Reprojection, agree, lens_of
 from ffpose.imaging.undistortion import undistort
 from ffpose.inference.load import load
 from ffpose.inference.prediction import axis_length
@@ -346,8 +346,8 @@ def evaluate(
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     of = "the weights' training"
     if split not in ("all", "train") and "train" in list_splits(kind, root):
-        # Only its labels are wanted: where they, or the images that they name, are not there, the
-        # baseline is another, and the summary says of what.
+        # Its labels, or its images, may not be there: then the baseline is the mean pose of the
+        # weights' training or of the images themselves, and the summary says which.
         with suppress(DataError):
             baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
             of = f"the split train of {root.resolve().name}"
@@ -423,20 +423,24 @@ def choose_preprocessing(
 
     Raises:
         ValueError: The camera differs from the weights', or has distortion that those of training
-            had not, and ``reproject`` is false; or the images are of several, and the weights of
-            one.
+            had not, and ``reproject`` is false; or has not the distortion that they had; or the
+            images are of several, and the weights of one.
     """
     plain, view = metadata.preprocessing, metadata.config.view_camera
     if view is None:
         return plain
     if camera is None:
         raise ValueError("expected images of the weights' camera, got a set of several cameras")
-    bent = bends(camera) and not metadata.distorted
-    if agree(plain.camera(camera), view) and not bent:
+    if agree(plain.camera(camera), view) and lens_of(camera) == metadata.distortion:
         return plain
+    if metadata.distortion is not None:
+        raise ValueError(
+            "expected images of the weights' camera, with the distortion"
+            f" {metadata.distortion}, which was not taken out in training, got a set of {camera}"
+        )
     if reproject:
         return Reprojection.of(plain, camera, view)
-    if bent:
+    if lens_of(camera) is not None:
         raise ValueError(
             f"expected images of a camera without distortion, got a set of {camera}; "
             "--data.undistort takes it out"

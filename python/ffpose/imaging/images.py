@@ -151,6 +151,10 @@ def open_image(path: Path) -> Iterator[Image.Image]:
             if turned != 1:
                 got = f"a TIFF to be turned, of orientation {turned} instead of 1"
                 raise DataError(f"expected pixels as they are stored, got {got}", path)
+            bits = _jpeg2000_bits(path) if image.format == "JPEG2000" else 8
+            if bits > 8 and (bits, image.mode) != (16, "I;16"):  # Pillow moves levels, or cuts them
+                expected = "a JPEG 2000 file of 8 bits per channel, or of one channel of 16"
+                raise DataError(f"expected {expected}, got {bits} in mode {image.mode}", path)
             yield image
     except (FileNotFoundError, DataError):
         raise
@@ -181,9 +185,6 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
             has several channels of more than 8 bits, or the percentile of its levels is not above
             zero; or a PNG file lacks rows.
     """
-    if image.format == "JPEG2000" and (bits := _jpeg2000_bits(path)) > 8:
-        # Of which Pillow keeps 8, or which it moves up to 16.
-        raise DataError(f"expected a JPEG 2000 file of 8 bits per channel, got {bits}", path)
     if image.mode not in DEEP_MODES and _is_deep(image):
         expected = "8 bits per channel, or one channel of 16 bits with a white level"
         raise DataError(f"expected {expected}, got more than 8 in mode {image.mode}", path)
@@ -226,8 +227,9 @@ def _is_deep(image: Image.Image) -> bool:
 
 def _jpeg2000_bits(path: Path) -> int:
     """Return the most bits of a JPEG 2000 file's channels (ISO/IEC 15444-1, A.5.1: SOC and SIZ)."""
-    head = path.read_bytes()
-    size = head[head.find(b"\xff\x4f\xff\x51") + 4 :]
+    data = path.read_bytes()
+    stream = max(data.find(b"jp2c"), 0)  # behind boxes that may hold anything
+    size = data[data.find(b"\xff\x4f\xff\x51", stream) + 4 :]
     channels = int.from_bytes(size[36:38], "big")
     return 1 + max(depth & 0x7F for depth in size[38 : 38 + 3 * channels : 3])
 

@@ -181,7 +181,7 @@ def for_images(
     camera: Camera | None = None,
     resize: bool = False,
     undistorted: bool = False,
-    distorted: bool = False,
+    distortion: tuple[float, ...] | None = None,
 ) -> tuple[Preprocessing, Camera | None]:
     """Return what brings the images to come to a network's input.
 
@@ -192,7 +192,7 @@ def for_images(
         camera: The camera of the images to come; None: they are of the expected one.
         resize: They are resized, as if the expected camera had taken them.
         undistorted: The images trained on were undistorted.
-        distorted: They had distortion, and were taken as they are.
+        distortion: Theirs, where they were taken as they are; None for none.
 
     Returns:
         The preprocessing, which turns images of another ``camera`` by geometry, and the camera
@@ -200,7 +200,8 @@ def for_images(
 
     Raises:
         ValueError: Both a camera and a resize are asked for, or neither where the images to come
-            must be undistorted as those trained on were.
+            must be undistorted as those trained on were; or the images trained on had a distortion
+            that those to come have not.
     """
     if camera is not None and resize:
         raise ValueError("camera: expected one to reproject from, or resize; got both")
@@ -214,10 +215,14 @@ def for_images(
         return Reprojection.of(preprocessing, camera, straight), None
     if camera is None or view is None:
         return preprocessing, None if resize or camera is not None else expected
-    as_trained = distorted or not isinstance(camera, DistortedCamera)
-    if not (as_trained and agree(preprocessing.camera(camera), view)):
-        return Reprojection.of(preprocessing, camera, view), None
-    return preprocessing, camera
+    if lens_of(camera) == distortion and agree(preprocessing.camera(camera), view):
+        return preprocessing, camera
+    if distortion is not None:
+        raise ValueError(
+            f"camera: expected that of training, with the distortion {distortion}, which was not"
+            f" taken out, got {camera}; --resize takes images as they are"
+        )
+    return Reprojection.of(preprocessing, camera, view), None
 
 
 def agree(camera: Camera, other: Camera) -> bool:
@@ -229,9 +234,10 @@ def agree(camera: Camera, other: Camera) -> bool:
     return all(math.isclose(one, two, rel_tol=TOLERANCE) for one, two in pairs)
 
 
-def bends(camera: Camera) -> bool:
-    """Return whether the images of a camera have distortion, which `agree` does not compare."""
-    return isinstance(camera, DistortedCamera) and any(camera.distortion)
+def lens_of(camera: Camera) -> tuple[float, ...] | None:
+    """Return the distortion of a camera's images, which `agree` does not compare; None for none."""
+    bends = isinstance(camera, DistortedCamera) and any(camera.distortion)
+    return camera.distortion if bends else None
 
 
 def _pinhole(camera: Camera) -> tuple[float, ...]:

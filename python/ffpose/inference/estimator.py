@@ -77,7 +77,7 @@ class PoseEstimator:
             camera=camera,
             resize=resize,
             undistorted=metadata.undistorted,
-            distorted=metadata.distorted,
+            distortion=metadata.distortion,
         )
 
     @overload

@@ -52,7 +52,7 @@ def quantize_graph(
     """Write the int8 form of a graph of ``ffpose export``, calibrated on typical images.
 
     Images are of the camera of ``camera.json`` beside them, as `ffpose predict` takes them; without
-    that file they are of the network's camera, and without distortion.
+    that file they are as those of the network's training.
 
     Raises:
         FileNotFoundError: The graph, an image or the operator's library does not exist.

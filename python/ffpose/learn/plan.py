@@ -344,7 +344,7 @@ def training(
         },
         backbone_weights="none",
         epochs=plan.epochs,
-        batch_size=max(1, BATCH // world),
+        batch_size=max(LEAST_BATCH, BATCH // world),
         processes=world,
         init=init,
         ema=0.998,

@@ -635,7 +635,10 @@ class _Record:
             remedy = "remove the folder, or write to another"
             raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
         # Contents tell a file, by whatever path it is reached.
-        told = {"mesh", *(name for name in ("symmetry", "init") if f"{name}_sha256" in settings)}
+        files = [
+            name for name in ("symmetry", "init") if f"{name}_sha256" in settings.keys() & there
+        ]
+        told = {"mesh", *files}
         for name, value in settings.items():
             if name not in told and name in there and not same_place(there[name], value):
                 raise ValueError(

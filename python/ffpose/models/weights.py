@@ -57,7 +57,7 @@ class WeightsMetadata:
             seed, steps.
         data: Training data as a JSON document: ``kind``, ``name``, ``count``, ``digest``, and
             ``image_size``, the ``[height, width]`` of the images before preprocessing; ``locates``
-            is `locates` and ``mean_pose`` `mean_pose`.
+            is `locates`, ``mean_pose`` `mean_pose` and ``distortion`` `distortion`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         calibration: What the network was calibrated on, as a JSON document: ``command``,
             ``images``.
@@ -115,9 +115,10 @@ class WeightsMetadata:
         return bool(self._data_config.get("undistort", False))
 
     @property
-    def distorted(self) -> bool:
-        """Whether the training images had distortion, which was not taken out."""
-        return bool((self.data or {}).get("distorted", False))
+    def distortion(self) -> tuple[float, ...] | None:
+        """Distortion of the training images, where it was not taken out; None for none."""
+        stored = (self.data or {}).get("distortion")
+        return None if stored is None else tuple(stored)
 
     @property
     def white(self) -> float | str | None:

@@ -52,7 +52,7 @@ class ModelMetadata:
     """Metadata of an exported graph; None where unknown.
 
     ``camera`` is that of the training images, ``undistorted`` and ``white`` say how they were read,
-    ``distorted`` whether they had distortion that was not taken out;
+    ``distortion`` is theirs, where it was not taken out;
     ``weights_sha256`` is of the weights file that was exported, ``calibration_sha256`` of an int8
     graph's calibration images; ``takes_point`` says that the graph looks once, at points that are
     its input ``point``, and ``track_sha256`` is of the file of such a graph that belongs to this
@@ -70,7 +70,7 @@ class ModelMetadata:
     calibration_sha256: str | None = None
     locates: Target = "object"
     undistorted: bool = False
-    distorted: bool = False
+    distortion: tuple[float, ...] | None = None
     white: float | str | None = None
     takes_point: bool = False
     track_sha256: str | None = None
@@ -91,9 +91,9 @@ class ModelMetadata:
             "precision": self.precision,
             "calibration_sha256": self.calibration_sha256 or "",
         }
-        decoding = {"undistorted": self.undistorted, "white": self.white}
-        if self.distorted:
-            decoding["distorted"] = True
+        decoding: dict[str, Any] = {"undistorted": self.undistorted, "white": self.white}
+        if self.distortion is not None:
+            decoding["distortion"] = list(self.distortion)
         return {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,
@@ -131,6 +131,9 @@ class ModelMetadata:
             if told[name] not in known:
                 raise ValueError(f"{name}: expected one of {known}, got {told[name]!r}")
         camera = json.loads(entries["camera"])
+        decoding = json.loads(entries.get("decoding", "{}"))
+        if decoding.get("distortion") is not None:
+            decoding["distortion"] = tuple(decoding["distortion"])
         return cls(
             config_type(entries["architecture"]).from_json(entries["config"]),
             Preprocessing.from_dict(json.loads(entries["preprocessing"])),
@@ -146,7 +149,7 @@ class ModelMetadata:
             track_sha256=entries.get("track_sha256"),
             tracking=json.loads(entries.get("tracking", "null")),
             symmetry=SymmetryGroup.from_json(json.loads(entries.get("symmetry", "[]"))),
-            **json.loads(entries.get("decoding", "{}")),
+            **decoding,
         )
 
 

@@ -123,7 +123,7 @@ def graph_entries(
             digest,
             locates=source.locates,
             undistorted=source.undistorted,
-            distorted=source.distorted,
+            distortion=source.distortion,
             white=source.white,
             takes_point=takes_point,
             track_sha256=track_sha256,

@@ -16,7 +16,7 @@ from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 WARM_UP = 10.0
@@ -63,10 +63,23 @@ class AveragedModel(Generic[Model]):
         for name in averages.keys() - moved:
             averages[name].copy_(values[name])
 
-    def restart(self) -> None:
-        """Average anew from the network's present weights; those kept a share of stay."""
+    @torch.no_grad()
+    def restart(self, state: dict[str, Tensor]) -> None:
+        """Go on from an average, and give the network its weights, without what a share is kept of.
+
+        The average of what does not change after that, as of a frozen part, stays.
+        """
         self.steps = 0
-        self.model.load_state_dict(self.trained.state_dict())
+        self.model.load_state_dict(state)
+        share = self.init_share if self.initial else 0.0
+        self.trained.load_state_dict(
+            {
+                name: torch.lerp(self.initial[name], value, 1 / (1 - share))
+                if share > 0 and value.is_floating_point()
+                else value
+                for name, value in state.items()
+            }
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the averages and the number of steps, as `load_state_dict` takes them."""

@@ -16,7 +16,7 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
-from ffpose.imaging.reprojection import agree, bends
+from ffpose.imaging.reprojection import agree, lens_of
 from ffpose.models import (
     PolarPose,
     WeightsMetadata,
@@ -80,7 +80,9 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
     opened.whole.expect_target(metadata.locates)
     camera, view = opened.whole.camera, metadata.config.view_camera
     assert view is not None  # a second look points a camera
-    seen = None if camera is None or bends(camera) else metadata.preprocessing.camera(camera)
+    seen = None
+    if camera is not None and lens_of(camera) is None:
+        seen = metadata.preprocessing.camera(camera)
     if seen is None or not agree(seen, view):
         raise ValueError(
             f"data: expected images of the weights' camera, {metadata.camera}, without distortion,"

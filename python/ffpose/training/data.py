@@ -197,7 +197,7 @@ def _scenes(
         if count > 0
     ]
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in patches])
-    keypoints = np.array(list(scenes[0].build().keypoints.values()))
+    keypoints = np.array(list(scenes[0].build().keypoints.values())).reshape(-1, 3)
     calibration = open_calibration(config.calibration_images, preprocessing)
     return TrainingData(poses, val_set, camera, None, patches, empty, calibration, keypoints)
 

@@ -25,6 +25,7 @@ from ffpose.config import looks_twice
 from ffpose.errors import require
 from ffpose.evaluation.metrics import PoseError
 from ffpose.geometry import Target
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.models import WeightsMetadata, read_metadata
 from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
@@ -161,7 +162,7 @@ def _header(run: Run) -> dict[str, Any]:
     return {
         "preprocessing": run.task.val_set.preprocessing,
         "backbone_source": run.average.model.backbone.source,
-        "recipe": recipe(run.config, run.init),
+        "recipe": recipe(run.config, run.init, run.symmetry),
         "data": run.task.describe(run.config.data),
         "dtype": getattr(torch, run.config.weights_dtype),
     }
@@ -190,8 +191,7 @@ def _keep_best(run: Run, state: TrainState) -> None:
 
 def _return_to_best(run: Run, state: TrainState) -> None:
     """Continue from the best weights so far, as a stage does after another."""
-    run.model.load_state_dict(state.best)
-    run.average.restart()
+    run.average.restart(state.best)
 
 
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
@@ -206,6 +206,12 @@ def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
         raise ValueError(
             f"data: expected {expected}, which the run began with, got {got}; train on others in a "
             "new folder (--out), from these weights (--init) or from none"
+        )
+    began = SymmetryGroup.from_json((resumed.recipe or {}).get("symmetry") or [])
+    if began.to_json() != run.symmetry.to_json():
+        raise ValueError(
+            f"symmetry: expected {began}, which the run began with, got {run.symmetry}; train"
+            " modulo another in a new folder (--out)"
         )
     run.model.load_state_dict(state.model)
     run.average.load_state_dict(state.average)

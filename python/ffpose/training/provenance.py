@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.evaluation.baseline import mean_pose
-from ffpose.geometry.symmetry import SymmetryGroup
-from ffpose.imaging.reprojection import bends
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
+from ffpose.imaging.reprojection import lens_of
 from ffpose.models import read_metadata
 from ffpose.render import find_scene
 from ffpose.training.config import DataConfig, TrainConfig
@@ -32,15 +32,18 @@ def origin(weights: Path) -> dict[str, Any]:
     return {"sha256": sha256(weights), "recipe": header.recipe, "data": header.data}
 
 
-def recipe(config: TrainConfig, init: dict[str, Any] | None) -> dict[str, Any]:
+def recipe(
+    config: TrainConfig, init: dict[str, Any] | None, symmetry: SymmetryGroup = IDENTITY
+) -> dict[str, Any]:
     """Return the configuration as a JSON document, without paths and names of this machine.
 
-    What `origin` returns of the initial weights stands in the place of their path.
+    What `origin` returns of the initial weights stands in the place of their path, the axes of the
+    symmetry that labels are modulo in that of its file.
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = init
     if config.symmetry is not None:
-        fields["symmetry"] = SymmetryGroup.read(config.symmetry).to_json()
+        fields["symmetry"] = symmetry.to_json()
     fields["data"] = {
         name: value
         for name, value in fields["data"].items()
@@ -102,5 +105,6 @@ def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
     for name, pose in zip(dataset.names, dataset.poses, strict=True):
         digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
     described = describe_data(config, dataset.poses, dataset, digest)
-    distorted = dataset.camera is not None and bends(dataset.camera)
-    return {**described, "locates": dataset.target, "distorted": distorted}
+    lens = None if dataset.camera is None else lens_of(dataset.camera)
+    distortion = {} if lens is None else {"distortion": list(lens)}
+    return {**described, "locates": dataset.target, **distortion}

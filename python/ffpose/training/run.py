@@ -167,6 +167,15 @@ def _task(
     shared = config.batch_size, config.data.workers, processes
     if isinstance(model, PolarPose):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
+        if config.object_loss.keypoints > 0 and not len(keypoints):
+            raise ValueError(
+                "object_loss.keypoints: expected 0 for images of an object without named points,"
+                f" got {config.object_loss.keypoints}"
+            )
+        if config.batch_size < 2 and config.views.empty > 0:
+            raise ValueError(
+                "batch_size: expected 2 or more, of which some are without the object, got 1"
+            )
         loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)
         patches = PatchBatches(
             model,

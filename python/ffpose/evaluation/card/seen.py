@@ -53,7 +53,7 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 def _known(recipe: Recipe | None) -> Recipe | None:
     """Return a recipe, or None for one of another program, which says nothing of these images."""
     ours = recipe is not None and {"data", "views"} <= recipe.keys()
-    return recipe if ours and recipe["model"] in PRESETS else None
+    return recipe if ours and recipe.get("model") in PRESETS else None
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
@@ -147,17 +147,17 @@ def _augmentation(recipe: Recipe) -> tuple[Mapping[str, Any], str]:
     if looks_twice(PRESETS[recipe["model"]]):
         return recipe["views"], "half the resolution blended in"
     data = recipe["data"]
+    if not data["augment"]:
+        return {"blur": 0, "noise": 0}, ""
     used = asdict(Augmentation(**data["augmentation"]))
     used["noise"] = max(used[name] for name in ("noise", "shot_noise", "read_noise"))
-    if not data["augment"]:
-        used = dict.fromkeys(used, 0)
     return used, f"Gaussian blur of up to {used['blur']:g} pixels of the input"
 
 
 def _as_trained(scene: Scene, recipe: Recipe) -> Scene:
     """Return a set with a training's distances: one's own of that name may have others now."""
     if scene.name not in SCENES:
-        own = recipe["model_fields"].get("distance_m", scene.distance_m)
+        own = recipe.get("model_fields", {}).get("distance_m", scene.distance_m)
         scene = replace(scene, distance_m=tuple(own))
     return scene.scaled(*recipe["data"].get("distance", (1.0, 1.0)))
 
