@@ -2,8 +2,10 @@
 
 The look is pointed off the true place by one and two predicted standard deviations along each of
 their axes; the slope of the measured offset on the true one is 1 where the look does not follow its
-pointing. The CPU time of a frame with such a look is measured against that of a whole frame,
-alternately, on one thread: in torch, or given a graph of ``ffpose export --track`` in ONNX Runtime.
+pointing. Pointed at where a whole frame's pose is, its errors are compared with that pose's: the
+ratios of the mean squares, of images where both attitudes are within `COMPARED_DEG`. The CPU time
+of a frame with such a look is measured against that of a whole frame, alternately, on one thread:
+in torch, or given a graph of ``ffpose export --track`` in ONNX Runtime.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ffpose._internal.seeds import CHOICES
+from ffpose.arrays import rotation_error
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.load import load
@@ -26,6 +29,9 @@ from ffpose.render.renderer import render
 
 SEED = CHOICES.start + 35_000
 SIZE = (512, 384)
+
+COMPARED_DEG = 10.0
+"""Attitude error up to which an image counts in the ratios: flips would be most of a square."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +48,7 @@ def run(options: argparse.Namespace) -> None:
     estimator = load(options.weights, track=True, device="cpu", threads=1, warm_up=1)
     found: dict[str, object] = {}
     for scene in options.scenes:
-        found[scene] = median_slopes(estimator, scene, options.images)
+        found[scene] = measured(estimator, scene, options.images)
     timed = estimator
     if options.graph is not None:
         timed = load(options.graph, track=True, threads=1, warm_up=3)
@@ -50,17 +56,38 @@ def run(options: argparse.Namespace) -> None:
     print(json.dumps(found, indent=1))
 
 
-def median_slopes(estimator: PoseEstimator, scene: str, images: int) -> dict[str, float]:
-    """Return the median slopes across the ray, along it, and over all axes."""
-    rows = []
+def measured(estimator: PoseEstimator, scene: str, images: int) -> dict[str, float]:
+    """Return median slopes across the ray, along it and of all axes, and variance ratios."""
+    rows, errors = [], []
     for index in range(images):
         frame = render(scene, SEED, index, SIZE)
         x = estimator.preprocess(Image.fromarray(frame.image))[None]
         rows += slopes(estimator, x, frame.pose)
+        errors.append(errors_of_both(estimator, x, frame.pose))
     table = np.array(rows)
     along = table[:, 0] > 0.5
     named = {"across": ~along, "along": along, "all": np.full(len(table), True)}
-    return {name: float(np.median(table[rows, 1])) for name, rows in named.items()}
+    found = {name: float(np.median(table[rows, 1])) for name, rows in named.items()}
+    both = np.array(errors)  # (images, whole and look, attitude and position)
+    squares = np.square(both[(both[:, :, 0] < COMPARED_DEG).all(axis=1)]).mean(axis=0)
+    ratios = (squares[1] / squares[0]).tolist()
+    return found | dict(zip(("variance_of_attitude", "variance_of_position"), ratios, strict=True))
+
+
+def errors_of_both(
+    estimator: PoseEstimator, x: NDArray[np.float32], truth: Pose
+) -> list[tuple[float, float]]:
+    """Return the errors of a frame's pose and of a look there: degrees, shares of the distance."""
+    (whole,) = estimator.estimate(x)
+    (look,) = estimator.estimate(x, whole.t[None])
+    distance = np.linalg.norm(truth.t)
+    return [
+        (
+            float(rotation_error(pose.q[None], truth.q[None])[0]),
+            float(np.linalg.norm(pose.t - truth.t) / distance),
+        )
+        for pose in (whole, look)
+    ]
 
 
 def slopes(

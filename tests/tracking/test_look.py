@@ -5,7 +5,7 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmarks.look import median_slopes
+from benchmarks.look import measured
 from ffpose.cli import main
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.geometry.symmetry import IDENTITY
@@ -139,4 +139,4 @@ def test_the_measured_offset_follows_the_true_one():
     """Displaced by one and two standard deviations along each axis, on images of its kind."""
     pytest.importorskip("embreex")
     estimator = load("soyuz", track=True, device="cpu", threads=1, warm_up=0)
-    assert abs(median_slopes(estimator, "soyuz_hard", images=60)["all"] - 1) <= 0.05
+    assert abs(measured(estimator, "soyuz_hard", images=60)["all"] - 1) <= 0.05

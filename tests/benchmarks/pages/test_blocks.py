@@ -60,7 +60,11 @@ FILTER = {
     ],
     "bfloat16_over_float32": [{"isa": "avx2", "value": 0.5}, {"isa": "avx2", "value": 0.98}],
     "times_a_copy": [],
-    "gain_of_threads": [{"isa": "scalar", "value": 7.0}],
+    "gain_of_threads": [
+        {"isa": "scalar", "threads": 2, "value": 7.0},
+        {"isa": "avx2", "threads": 2, "value": 1.5},
+        {"isa": "avx2", "threads": 16, "value": 9.0},
+    ],
     "vector_code": {
         "results": [
             case([7, 7, 2], **{TORCH: 3.0, CHANNELS_FIRST: 2.5}),
@@ -123,10 +127,11 @@ def test_vector_code_stands_beside_baseline_code():
 
 
 def test_limits_by_hand():
-    small, half = shown("filter-limits", filter=figures(FILTER))
+    small, half, two = shown("filter-limits", filter=figures(FILTER))
     assert "takes 0.12 of `torch.fft`'s time" in small
     assert "0.25 recording" in small
     assert "takes 0.50 to 0.98 (0.70 in the mean) of float32's time" in half
+    assert "calls of more than 200 µs 1.50 to 1.50 (1.50 in the mean) times" in two
 
 
 def network(*names, p50=0.1, threads=(1,), **more):
