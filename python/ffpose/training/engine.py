@@ -353,7 +353,7 @@ def validate(run: Run) -> Row:
     """
     run.processes.agree(run.average.model)
     model = run.average.model.eval()
-    metric = PoseError(run.task.val_set.target)
+    metric = PoseError(run.task.val_set.target, process_group=run.processes.patient)
     for batch in run.task.validation():
         pose = model(batch.image.to(run.device))
         t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()

@@ -53,7 +53,7 @@ _others: list[BaseProcess] = []
 class Processes:
     """This process's rank among those that train together, and how many of them are here.
 
-    ``patient`` is the group that waits for as long as it takes.
+    ``patient`` is the group of what is on the CPU, which waits for as long as it takes.
     """
 
     rank: int = 0
@@ -87,9 +87,9 @@ class Processes:
         return box[0]
 
     def total(self, values: Tensor) -> Tensor:
-        """Return the sum of all processes' values."""
-        if self.world > 1:
-            distributed.all_reduce(values)
+        """Return the sum of all processes' values, which are on the CPU."""
+        if self.world > 1:  # a group that another program has joined may be of GPUs alone
+            distributed.all_reduce(values, group=self.patient)
         return values
 
     def parallel(self, objective: nn.Module) -> nn.Module:
