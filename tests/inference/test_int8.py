@@ -140,16 +140,21 @@ def test_the_metadata_names_precision_and_images(graph, images, tmp_path):
     assert after == replace(before, precision="int8", calibration_sha256=digest)
 
 
+def describe(graph, metadata):
+    """Write other metadata into a graph."""
+    model = onnx.load(graph)
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, metadata.to_entries())
+    graph.write_bytes(sealed(model.SerializeToString()))
+
+
 @pytest.mark.parametrize("camera", [None, Camera(32, 16, 20.0, 20.0, 16.0, 8.0)])
 def test_images_for_a_network_of_undistorted_ones_are_taken_as_such(
     graph, images, tmp_path, camera
 ):
     plain = int8.quantize_graph(graph, tmp_path / "plain.onnx", images)
     metadata = replace(read_model_metadata(graph), undistorted=True, camera=camera)
-    model = onnx.load(graph)
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, metadata.to_entries())
-    graph.write_bytes(sealed(model.SerializeToString()))
+    describe(graph, metadata)
     quantized = int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
     assert read_model_metadata(quantized.path).undistorted
     np.testing.assert_array_equal(quantized.translation_m, plain.translation_m)
@@ -161,10 +166,7 @@ def test_calibration_images_are_of_the_camera_beside_them(graph, images, tmp_pat
     view = Camera(32, 16, 20.0, 20.0, 16.0, 8.0)
     config = replace(read_model_metadata(graph).config, camera=(20.0, 20.0, 16.0, 8.0))
     metadata = replace(read_model_metadata(graph), config=config, camera=view)
-    model = onnx.load(graph)
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, metadata.to_entries())
-    graph.write_bytes(sealed(model.SerializeToString()))
+    describe(graph, metadata)
     plain = int8.quantize_graph(graph, tmp_path / "plain.onnx", images)
     longer = Camera(32, 16, 30.0, 30.0, 16.0, 8.0)
     (images[0].parent / "camera.json").write_text(json.dumps(asdict(longer)))
