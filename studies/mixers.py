@@ -43,7 +43,7 @@ BASE = TrainConfig(
     ),
 )
 """As usual a second look goes where the one before found the object, and its pose is the result;
-with more ``looks`` the pose would be the mean of two."""
+with more ``looks`` the pose would be the mean of several."""
 
 ABOUT = {
     "filter": "spectral filters",

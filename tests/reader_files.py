@@ -149,6 +149,7 @@ OF_PAGES = {
     "docs/training.md": {
         "URSO/soyuz_hard": write_set,
         "stages.yaml": write_stages,
+        "real": write_csv_set,
     },
 }
 """For each page the files and folders that its reader has, and what writes them."""

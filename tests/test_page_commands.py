@@ -70,6 +70,7 @@ SMALL = {
     "--count 60": "--count 2 --size 64x48",
     "--data.count 200": "--data.count 2",
     "--minutes 60": "--minutes 60 --init none",  # initial weights are of a larger network
+    "--init generic": shlex.join(options_of(SMALL_LOOKING)),
     "--epochs 40": "--epochs 1 --batch-size 2 --data.workers 0 --processes 1",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"

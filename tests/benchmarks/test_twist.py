@@ -5,13 +5,17 @@ import torch
 
 from benchmarks import twist
 from benchmarks.__main__ import main
-from ffpose.models import build_network
+from ffpose.models import build_network, polar_pose
 from polar_networks import CELL, build_polar
 
 
 @pytest.fixture
 def model():
-    return build_polar(first_channels=64)  # by whose draws a twist shows well
+    return some(looks=1)
+
+
+def some(**fields):
+    return build_polar(first_channels=64, candidates=1, **fields)  # by whose draws a twist shows
 
 
 def test_a_twist_by_cells_changes_nothing_and_another_something(model):
@@ -24,14 +28,26 @@ def test_a_twist_by_cells_changes_nothing_and_another_something(model):
     for part, values in cells.items():
         assert values.max() < 0.05, part
     assert between["attitude"].min() > 2 * cells["attitude"].max()
+    assert "view_at" not in vars(model)
 
 
-def test_a_twist_by_half_a_cell_exchanges_two_looks(model):
-    """Their mean stays, on any weights, where either look alone changes."""
+@pytest.mark.parametrize("looks", [2, 3])
+def test_a_twist_by_a_part_of_a_cell_permutes_as_many_looks(model, looks, monkeypatch):
+    """Of one place in one view: their mean stays, where each look alone changes."""
     image = torch.rand(1, 3, 96, 128, generator=torch.Generator().manual_seed(1))
-    point, half = torch.tensor([1.0, -2.0, 14.0]), torch.tensor([0.5, 3.5]) * CELL
-    assert twist.changes(model, image, point, half, looks=2)["attitude"].max() < 0.05
-    assert twist.changes(model, image, point, half)["attitude"].min() > 0.5
+    point, parts = torch.tensor([1.0, -2.0, 14.0]), torch.tensor([1, 3 * looks + 1]) * CELL / looks
+    monkeypatch.setattr(polar_pose, "FARTHER", 1.0)
+    monkeypatch.setattr(polar_pose, "AGREEMENT_DEG", 180.0)
+    several = some(looks=looks)
+    head = several.orientation_branch
+    torch.nn.init.zeros_(head.vectors.weight)
+    torch.nn.init.zeros_(head.vectors.bias)
+    torch.nn.init.zeros_(head.scalars[-1].weight)
+    torch.nn.init.zeros_(head.scalars[-1].bias)
+    model.load_state_dict(several.state_dict())
+    alone = twist.changes(model, image, point, parts)["attitude"]
+    assert alone.min() > 0.5
+    assert twist.changes(several, image, point, parts)["attitude"].max() < alone.min() / 5
 
 
 def test_quantiles_are_printed(model, tmp_path, capsys):

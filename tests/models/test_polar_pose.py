@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from ffpose.config import PRESETS, PolarPoseConfig
 from ffpose.models import PolarPose, build_network, load_network, polar_pose
@@ -139,9 +139,9 @@ def looked_at(model, monkeypatch, in_view, log_mass, shift=0.0):
     )
     look, decode = model._second_look, model.decode
 
-    def at(levels, points, **turned):
+    def at(levels, points, *number):
         places.append(points)
-        return look(levels, points, **turned)
+        return look(levels, points, *number)
 
     def said(feature_map):
         numbers, points = decode(feature_map), places[-1]
@@ -187,7 +187,9 @@ def test_a_candidate_that_cannot_be_the_likelier_is_not_looked_at(model, monkeyp
     torch.testing.assert_close(pose.translation, farther, rtol=1e-5, atol=1e-4)
 
 
-def test_the_last_look_is_turned_by_half_a_cell(model, monkeypatch):
+@pytest.mark.parametrize("looks", [2, 4])
+def test_looks_are_turned_by_equal_parts_of_a_cell(looks, monkeypatch):
+    model = build_polar(looks=looks)
     twists, view_at = [], model.view_at
     monkeypatch.setattr(
         model,
@@ -195,36 +197,92 @@ def test_the_last_look_is_turned_by_half_a_cell(model, monkeypatch):
         lambda points, twist=None: twists.append(twist) or view_at(points, twist),
     )
     model(images(2))
-    assert twists[:2] == [None, None]
-    torch.testing.assert_close(twists[2], torch.full((2,), CELL / 2))
+    assert twists[0] is None
+    expected = torch.arange(1, looks + 1) * CELL / (looks + 1)
+    torch.testing.assert_close(torch.stack(twists[1:], dim=1), expected.expand(2, -1))
+
+
+def quaternions(rotation):
+    return torch.from_numpy(np.atleast_2d(rotation.as_quat(scalar_first=True)))
 
 
 def pose_at(rotation, translation):
-    quaternion = torch.from_numpy(np.atleast_2d(rotation.as_quat(scalar_first=True)))
     zeros, unsure = torch.zeros(1, 3, 3), torch.zeros(1)
     found = torch.tensor([translation], dtype=torch.float64)
-    return UncertainPose(found, quaternion, zeros, zeros, unsure, quaternion, unsure)
+    q = quaternions(rotation)
+    return UncertainPose(found, q, zeros, zeros, unsure, q, unsure)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_pose_is_the_mean_of_two_looks_that_agree(sign):
-    ends = Rotation.random(rng=3) * Rotation.from_rotvec([[0, 0, 0], [0, 12, 0]], degrees=True)
-    one = pose_at(ends[0], [1.0, 2.0, 20.0])
-    one = one._replace(orientation=sign * one.orientation)  # stands for the same rotation
-    other = pose_at(ends[1], [1.2, 2.2, 21.0])
-    mean = polar_pose._mean(*one[:2], other)
-    middle = Slerp([0, 1], ends)([0.5])
-    error = Rotation.from_quat(mean.orientation.numpy(), scalar_first=True) * middle.inv()
-    assert error.magnitude()[0] < 1e-7
+HERE, ELSEWHERE = torch.ones(1, dtype=torch.bool), torch.zeros(1, dtype=torch.bool)
+
+
+@pytest.mark.parametrize("signs", [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)])
+def test_the_pose_is_the_mean_of_looks_that_agree(signs):
+    """SciPy's mean of rotations; of the positions the last two's."""
+    away = [[0, 0, 0], [0, 12, 0], [5, 4, -8]]
+    looks = Rotation.random(rng=3) * Rotation.from_rotvec(away, degrees=True)
+    others = [(sign * quaternions(looks[i]), HERE) for i, sign in enumerate(signs)]
+    before = torch.tensor([[1.0, 2.0, 20.0]], dtype=torch.float64)
+    mean = polar_pose._mean(before, others, pose_at(looks[2], [1.2, 2.2, 21.0]))
+    error = Rotation.from_quat(mean.orientation[0].numpy(), scalar_first=True) * looks.mean().inv()
+    assert np.degrees(error.magnitude()) < 0.01  # a cube of their angles
     torch.testing.assert_close(mean.translation[0].tolist(), [1.1, 2.1, 20.5])
 
 
-def test_of_two_looks_that_do_not_agree_the_last_is_the_pose():
-    ends = Rotation.from_rotvec([[0, 0, 0], [16, 0, 0]], degrees=True)
-    other = pose_at(ends[1], [1.2, 2.2, 21.0])
-    mean = polar_pose._mean(*pose_at(ends[0], [1.0, 2.0, 20.0])[:2], other)
-    assert mean.translation.equal(other.translation)
-    assert mean.orientation.equal(other.orientation)
+@pytest.mark.parametrize(("angle", "same"), [(16, HERE), (3, ELSEWHERE)])
+def test_looks_that_do_not_agree_or_are_of_another_place_do_not_count(angle, same):
+    ends = Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]], degrees=True)
+    last = pose_at(ends[1], [1.2, 2.2, 21.0])
+    before = torch.tensor([[1.0, 2.0, 20.0]], dtype=torch.float64)
+    mean = polar_pose._mean(before, [(quaternions(ends[0]), same)], last)
+    assert mean.translation.equal(last.translation)
+    torch.testing.assert_close(mean.orientation, last.orientation)
+
+
+TURNS = Rotation.from_rotvec([[0, 0, 0], [4, 0, 0], [9, 0, 0], [0, 5, 1], [0, 0, 7]], degrees=True)
+"""Of each look in order, near enough to be taken for the same attitude."""
+
+
+@pytest.mark.parametrize(
+    ("in_view", "looks", "counted"),
+    [
+        ([9.0, 9.0], 2, [0, 1, 2]),
+        ([9.0, 9.0], 4, [0, 1, 2, 3, 4]),
+        ([-6.0, 6.0], 2, [1, 2]),
+        ([-6.0, -9.0], 2, [0, 2]),
+    ],
+    ids=["no rival", "no rival, more looks", "the rival is kept", "the rival is not kept"],
+)
+def test_the_attitude_is_the_mean_of_the_looks_at_what_is_kept(
+    monkeypatch, in_view, looks, counted
+):
+    """SciPy's mean of the attitudes that looks find, each look its own."""
+    model, taken = build_polar(looks=looks), []
+    decode, pose = model.decode, model._pose
+
+    def numbered(feature_map):
+        taken.append(len(taken))
+        numbers = decode(feature_map)
+        return numbers._replace(orientation=torch.full_like(numbers.orientation, taken[-1]))
+
+    def attitude(look):
+        return quaternions(TURNS).float()[look.output.orientation[:, 0].long()]
+
+    monkeypatch.setattr(model, "decode", numbered)
+    monkeypatch.setattr(model, "_orientation", attitude)
+    monkeypatch.setattr(model, "_pose", lambda look: replaced(pose, look, attitude))
+    log_mass = [[-0.1, -3.0], [-0.1, -3.0]]
+    _, found = looked_at(model, monkeypatch, [in_view, in_view], log_mass)
+    assert len(taken) == looks + 1
+    expected = TURNS[counted].mean()
+    for q in found.orientation.numpy():
+        error = Rotation.from_quat(q, scalar_first=True) * expected.inv()
+        assert np.degrees(error.magnitude()) < 0.01
+
+
+def replaced(pose, look, attitude):
+    blank = look.output._replace(orientation=torch.zeros_like(look.output.orientation))
+    return pose(look._replace(output=blank))._replace(orientation=attitude(look))
 
 
 def test_one_candidate_and_one_look_are_one_view(tmp_path):
@@ -595,13 +653,11 @@ def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
         assert torch.equal(getattr(got, name), getattr(expected, name))
 
 
-def test_one_look_is_less_certain_than_the_mean_of_two():
-    """Where two looks make the pose, and calibration has scaled the covariance of their mean."""
+def test_one_look_is_less_certain_of_the_attitude_than_the_mean_of_several():
+    """Where several looks make the pose: calibration has scaled the covariance of their mean."""
     points = torch.tensor([[0.0, 1.0, 14.0], [2.0, -1.0, 18.0]])
     once, twice = (build_polar(looks=looks).predict_near(images(2), points) for looks in (1, 2))
-    for one, other in (
-        (once.translation_covariance, twice.translation_covariance),
-        (once.rotation_covariance, twice.rotation_covariance),
-    ):
-        torch.testing.assert_close(other, polar_pose.ONE_LOOK_VARIANCE * one)
+    grown = polar_pose.ONE_LOOK_VARIANCE * once.rotation_covariance
+    torch.testing.assert_close(twice.rotation_covariance, grown)
+    assert twice.translation_covariance.equal(once.translation_covariance)
     assert twice.translation.equal(once.translation)

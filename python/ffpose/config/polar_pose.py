@@ -54,7 +54,8 @@ class PolarPoseConfig(NetworkConfig):
         angles: Number of angles of the orientation bins, rotations about the viewing ray.
         directions: Number of viewing directions of the orientation bins.
         bins_width_deg: Standard deviation of the bins' soft labels, degrees.
-        looks: Number of second looks; each but the first is pointed by the one before.
+        looks: Number of second looks, those at all candidates counting as one; each further one is
+            pointed by the one before, and the pose is the mean of several; with 1 it is one look's.
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
@@ -158,6 +159,11 @@ class PolarPoseConfig(NetworkConfig):
     def free_fields(self) -> tuple[str, ...]:
         """The numbers of second looks and of candidates."""
         return ("looks", "candidates")
+
+    @property
+    def total_looks(self) -> int:
+        """Number of second looks at a frame: one for each candidate, and those after the first."""
+        return self.candidates + self.looks - 1
 
     @property
     def heat_grid(self) -> tuple[int, int]:

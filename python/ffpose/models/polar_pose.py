@@ -7,9 +7,11 @@ whether the object is there (`ffpose.models.polar_second_look`). Where the next 
 likelier, that is looked at too, and the likelier of both is kept; where it cannot be, which is
 nearly always, that look is spent where the offset says that the object is. A last look goes there.
 
-A look errs by how its cells happen to lie on the object. The last look is therefore turned by half
-a cell about the viewing ray, in a view made for a greater distance, which shows the object larger;
-where it agrees with the one before, their mean is the pose.
+A look errs by how its cells happen to lie on the object. Looks are therefore turned about the
+viewing ray, of n looks each by an n-th of a cell more than the one before, and the attitude is the
+mean of those that agree with the last: most of what changes with the lie of the cells cancels. The
+position is the mean of the last two, the last of which has a view made for a greater distance,
+which shows the object larger. With ``looks`` 1 the likeliest look alone is the pose.
 """
 
 from __future__ import annotations
@@ -47,18 +49,18 @@ from ffpose.models.virtual_camera import (
 )
 from ffpose.nn.polar_bins import PolarBinsHead
 
-FARTHER = 1.1
+FARTHER = 1.05
 """Distance that the last look's view is made for, relative to where the one before found it."""
 
 AGREEMENT_DEG = 15.0
-"""Largest angle between the attitudes of two looks whose mean is the pose, degrees."""
+"""Largest angle from the last look's attitude of those that count in the mean, degrees."""
 
 ONE_LOOK_VARIANCE = 1.15
-"""Variance of one look's errors relative to that of the mean of two, which calibration scales.
+"""Variance of the attitude's error of one look relative to that of the mean of three.
 
-Of `soyuz`, whose errors of two such looks correlate by 0.74: ``2 / (1 + 0.74)``. Covariances
-are calibrated for the numbers of looks and candidates in the header: `PolarPose.forward` does not
-scale them for others."""
+It is 1.11 to 1.23 for `soyuz` and `dragon`, that of the position 0.93 to 1.10 (``python -m
+benchmarks look soyuz --images 200``). Calibration scales the covariances of the mean, for the
+numbers of looks and candidates in the header; `PolarPose.forward` scales them for no others."""
 
 DISTANCE_SMOOTH = 0.05
 """Errors of the first look's log distance below it count by their square (Huber)."""
@@ -115,21 +117,28 @@ class PolarPose(BaseNetwork):
         first, *others = zip(points.unbind(1), log_masses.unbind(1), strict=True)
         look, kept = self._second_look(levels, first[0]), first[1]
         score = _log_likelihood(kept, look)
-        for point, log_mass in others:
+        earlier = list[tuple[SecondLook, Tensor]]()  # looks, and where they are at what is kept
+        for number, (point, log_mass) in enumerate(others, 1):
             # If the object were surely there, would that be likelier?
             rival = log_mass > score
-            found = self._second_look(levels, torch.where(rival[:, None], point, look.place))
+            place = torch.where(rival[:, None], point, look.place)
+            found = self._second_look(levels, place, number)
             weight = torch.where(rival, log_mass, kept)
             likelihood = _log_likelihood(weight, found)
-            taken = ~rival | (likelihood > score)
+            moved = rival & (likelihood > score)
+            earlier = [(each, same & ~moved) for each, same in earlier] + [(look, ~rival)]
+            taken = ~rival | moved
             look, kept = chosen(taken, found, look), torch.where(taken, weight, kept)
             score = torch.where(taken, likelihood, score)
         if self.config.looks == 1:
             return calibrated(self._pose(look), self.config)
-        for _ in range(2, self.config.looks):
-            look = self._second_look(levels, look.place)
-        pose = self._pose(self._second_look(levels, look.place, turned=True))
-        return calibrated(_mean(look.place, self._orientation(look), pose), self.config)
+        everywhere = torch.ones_like(score, dtype=torch.bool)
+        for number in range(self.config.candidates, self.config.total_looks - 1):
+            earlier.append((look, everywhere))
+            look = self._second_look(levels, look.place, number)
+        last = self._second_look(levels, FARTHER * look.place, self.config.total_looks - 1)
+        looks = [(self._orientation(each), same) for each, same in [(look, everywhere), *earlier]]
+        return calibrated(_mean(look.place, looks, self._pose(last)), self.config)
 
     @half_in_learned_parts
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
@@ -137,9 +146,9 @@ class PolarPose(BaseNetwork):
 
         One second look, without a first one and without a correction of where to look. Its offset
         is zero where the object is, and is divided by its slope there (``config.look_slope``),
-        which is a step of Newton's. A pose of `forward` is the mean of two looks, if ``looks`` is
-        above 1, whose covariance calibration scales: that of one look is `ONE_LOOK_VARIANCE` times
-        as large.
+        which is a step of Newton's. An attitude of `forward` is the mean of several looks, if
+        ``looks`` is above 1, whose covariance calibration scales: that of one look is
+        `ONE_LOOK_VARIANCE` times as large.
 
         Args:
             images: As in `forward`.
@@ -154,20 +163,14 @@ class PolarPose(BaseNetwork):
         slopes = output.offset.new_tensor([across, across, along])
         pose = self._pose(placed(output._replace(offset=output.offset / slopes), view))
         if self.config.looks > 1:
-            pose = pose._replace(
-                translation_covariance=pose.translation_covariance * ONE_LOOK_VARIANCE,
-                rotation_covariance=pose.rotation_covariance * ONE_LOOK_VARIANCE,
-            )
+            pose = pose._replace(rotation_covariance=pose.rotation_covariance * ONE_LOOK_VARIANCE)
         return calibrated(pose, self.config)
 
-    def _second_look(
-        self, levels: Sequence[Tensor], points: Tensor, *, turned: bool = False
-    ) -> SecondLook:
-        """Look at points ``(B, 3)``; ``turned`` by half a cell, in a view for a longer distance."""
-        twist = None
-        if turned:
-            points = FARTHER * points
-            twist = points.new_full(points.shape[:1], math.pi / self.config.object_grid[1])
+    def _second_look(self, levels: Sequence[Tensor], points: Tensor, number: int = 0) -> SecondLook:
+        """Look at points ``(B, 3)``, turned as the look of a number, from 0, of `total_looks`."""
+        cell = 2 * math.pi / self.config.object_grid[1]
+        angle = number * cell / self.config.total_looks if self.config.looks > 1 else 0.0
+        twist = points.new_full(points.shape[:1], angle) if angle else None
         return placed(*self._look_at(levels, points, twist))
 
     def _look_at(
@@ -244,21 +247,35 @@ class NearPoint(nn.Module):
         return self.network.predict_near(images, point)
 
 
-def _mean(translation: Tensor, orientation: Tensor, other: UncertainPose) -> UncertainPose:
-    """Return the mean pose of two looks where they agree, elsewhere the other's; all else is its.
+def _mean(
+    translation: Tensor, looks: Sequence[tuple[Tensor, Tensor]], last: UncertainPose
+) -> UncertainPose:
+    """Return the last look's pose, with the mean attitude of those that agree with it.
 
-    The mean of two unit quaternions that stand for nearly the same rotation, one or the negative of
-    one and the other, normalized, is half the rotation between them (Markley et al., "Averaging
-    Quaternions", Journal of Guidance, Control, and Dynamics 30(4), 2007).
+    Its position is the mean with that of the look before, where their attitudes agree.
+
+    The mean of unit quaternions that stand for nearly the same rotation, with the signs that bring
+    them next to each other, is their normalized sum: of two exactly, of more up to the cubes of the
+    angles between them (Markley et al., "Averaging Quaternions", Journal of Guidance, Control, and
+    Dynamics 30(4), 2007).
+
+    Args:
+        translation: ``(B, 3)``, of the look before the last.
+        looks: Orientations ``(B, 4)``, that of this look first, each with where it is of the same
+            object as the last one, ``(B,)`` bool.
+        last: Poses of the last look.
     """
-    cosine = (orientation * other.orientation).sum(-1, keepdim=True)  # of half the angle
-    same = torch.where(cosine < 0, -orientation, orientation)
-    agree = cosine.abs() > math.cos(math.radians(AGREEMENT_DEG) / 2)
-    orientation = F.normalize(same + other.orientation, dim=-1)
-    middle = (translation + other.translation) / 2
-    return other._replace(
-        translation=torch.where(agree, middle, other.translation),
-        orientation=torch.where(agree, orientation, other.orientation),
+    total, least = last.orientation, math.cos(math.radians(AGREEMENT_DEG) / 2)
+    near = list[Tensor]()
+    for orientation, same in looks:
+        cosine = (orientation * last.orientation).sum(-1, keepdim=True)  # of half the angle
+        near.append((cosine.abs() > least) & same[:, None])
+        signed = torch.where(cosine < 0, -orientation, orientation)
+        total = total + torch.where(near[-1], signed, torch.zeros_like(signed))
+    middle = (translation + last.translation) / 2
+    return last._replace(
+        translation=torch.where(near[0], middle, last.translation),
+        orientation=F.normalize(total, dim=-1),
     )
 
 
