@@ -236,8 +236,9 @@ def agree(camera: Camera, other: Camera) -> bool:
 
 def lens_of(camera: Camera) -> tuple[float, ...] | None:
     """Return the distortion of a camera's images, which `agree` does not compare; None for none."""
-    bends = isinstance(camera, DistortedCamera) and any(camera.distortion)
-    return camera.distortion if bends else None
+    if isinstance(camera, DistortedCamera) and any(camera.distortion):
+        return camera.distortion
+    return None
 
 
 def _pinhole(camera: Camera) -> tuple[float, ...]:

@@ -52,8 +52,9 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 
 def _known(recipe: Recipe | None) -> Recipe | None:
     """Return a recipe, or None for one of another program, which says nothing of these images."""
-    ours = recipe is not None and {"data", "views"} <= recipe.keys()
-    return recipe if ours and recipe.get("model") in PRESETS else None
+    if recipe is None or not {"data", "views"} <= recipe.keys():
+        return None
+    return recipe if recipe.get("model") in PRESETS else None
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
