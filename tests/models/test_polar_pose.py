@@ -269,7 +269,7 @@ def test_the_attitude_is_the_mean_of_the_looks_at_what_is_kept(
         return quaternions(TURNS).float()[look.output.orientation[:, 0].long()]
 
     monkeypatch.setattr(model, "decode", numbered)
-    monkeypatch.setattr(model, "_orientation", attitude)
+    monkeypatch.setattr(model, "_orientations", lambda looks: map(attitude, looks))
     monkeypatch.setattr(model, "_pose", lambda look: replaced(pose, look, attitude))
     log_mass = [[-0.1, -3.0], [-0.1, -3.0]]
     _, found = looked_at(model, monkeypatch, [in_view, in_view], log_mass)

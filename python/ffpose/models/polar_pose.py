@@ -137,8 +137,9 @@ class PolarPose(BaseNetwork):
             earlier.append((look, everywhere))
             look = self._second_look(levels, look.place, number)
         last = self._second_look(levels, FARTHER * look.place, self.config.total_looks - 1)
-        looks = [(self._orientation(each), same) for each, same in [(look, everywhere), *earlier]]
-        return calibrated(_mean(look.place, looks, self._pose(last)), self.config)
+        looks, same = zip((look, everywhere), *earlier, strict=True)
+        attitudes = list(zip(self._orientations(looks), same, strict=True))
+        return calibrated(_mean(look.place, attitudes, self._pose(last)), self.config)
 
     @half_in_learned_parts
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
@@ -194,9 +195,11 @@ class PolarPose(BaseNetwork):
             modes.probabilities,
         )
 
-    def _orientation(self, look: SecondLook) -> Tensor:
-        """Return the orientations ``(B, 4)`` of `_pose` alone."""
-        return look.view.turned_back(self.orientation.decode(look.output.orientation))
+    def _orientations(self, looks: Sequence[SecondLook]) -> list[Tensor]:
+        """Return the orientations ``(B, 4)`` of `_pose` alone, decoded together."""
+        raw = torch.stack([look.output.orientation for look in looks])
+        found = torch.unflatten(self.orientation.decode(raw.flatten(0, 1)), 0, (len(looks), -1))
+        return [look.view.turned_back(q) for look, q in zip(looks, found.unbind(), strict=True)]
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
