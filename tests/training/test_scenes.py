@@ -104,7 +104,7 @@ def test_workers_prepare_the_batches_of_this_process(root, tmp_path, monkeypatch
 def test_processes_that_train_together_share_the_workers(root, tmp_path):
     losses = []
     for workers in (0, 3):
-        config = scenes_config(root, tmp_path / str(workers), epochs=1, processes=2, batch_size=1)
+        config = scenes_config(root, tmp_path / str(workers), epochs=1, processes=2, batch_size=2)
         config = replace(config, data=replace(config.data, workers=workers))
         losses.append(train(config, quiet=True).history[0]["train_loss"])
     assert losses[0] == losses[1]

@@ -24,7 +24,7 @@ class DemoConfig:
         size: Width and height of the images.
         attitude_range_deg: Roll, pitch and yaw lie within plus and minus these angles.
         seed: Seed of the images.
-        workers: Number of processes that render, and that train together.
+        workers: Number of processes that render, and on a CPU train together.
         train: Use a network trained here from scratch, in about six minutes on two cores after one
             of rendering.
         views: Number of rendered training views of the spacecraft (`rendered_views` counts all).

@@ -5,8 +5,9 @@ The metrics are those of the paper's tables: errors of translation (Eq. 13) and 
 rotation error is also split into in-plane and out-of-plane parts (`ffpose.evaluation.attitude`), as
 a network may learn one and not the other.
 
-The baselines are the mean pose of the set's training split (`ffpose.evaluation.baseline`),
-predicted for every image, and oracles that know one part of the truth.
+The baselines are the mean pose of the set's training split (`ffpose.evaluation.baseline`), or where
+that cannot be read, of the weights' training or of the images themselves, predicted for every
+image, and oracles that know one part of the truth.
 """
 
 from __future__ import annotations
@@ -348,7 +349,7 @@ def evaluate(
     if split not in ("all", "train") and "train" in list_splits(kind, root):
         # Its labels, or its images, may not be there: then the baseline is the mean pose of the
         # weights' training or of the images themselves, and the summary says which.
-        with suppress(DataError):
+        with suppress(DataError, FileNotFoundError):
             baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
             of = f"the split train of {root.resolve().name}"
     if baseline is None:

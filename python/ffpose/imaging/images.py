@@ -138,7 +138,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     Raises:
         FileNotFoundError: The file does not exist.
         DataError: The file is not an image, or is damaged, or declares more than `MAX_PIXELS`; also
-            if this shows within the block. Or it is a folder, or a pipe, which might never end.
+            if this shows within the block. Or it is a folder, or a pipe, which might never end, or
+            a JPEG 2000 file of more than 8 bits, but for 16 of gray.
     """
     if path.exists() and not path.is_file():
         got = "a folder" if path.is_dir() else "a pipe or a device"

@@ -70,7 +70,8 @@ class AveragedModel(Generic[Model]):
         The average of what does not change after that, as of a frozen part, stays.
         """
         self.steps = 0
-        self.model.load_state_dict(state)
+        self.model.load_state_dict(state)  # which may be on another device
+        state = self.model.state_dict()
         share = self.init_share if self.initial else 0.0
         self.trained.load_state_dict(
             {

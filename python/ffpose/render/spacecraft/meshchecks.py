@@ -266,7 +266,7 @@ def _names(lines: list[list[bytes]]) -> list[bytes]:
 
 
 def _corners_at(names: Sequence[bytes], properties: Properties) -> int | None:
-    """Return which property of a face are its corners: the list of that name, or the only one."""
+    """Return which property of a face are its corners: the list of that name, or the first."""
     lists = [place for place, (length, _) in enumerate(properties) if length]
     named = [place for place in lists if names[place] in (b"vertex_index", b"vertex_indices")]
     return next(iter(named or lists), None)
