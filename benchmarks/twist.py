@@ -51,8 +51,8 @@ def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) ->
     count, view_at, heat_map = len(twists), model.view_at, model.translation_branch
     there = Candidates(point.expand(count, 1, 3), torch.zeros(count, 1))
     try:
-        heat_map.candidates = lambda *_: there  # type: ignore[method-assign]  # for this look alone
-        model.view_at = (  # type: ignore[method-assign]
+        heat_map.candidates = lambda *_: there  # type: ignore[method-assign]  # until `finally`
+        model.view_at = (  # type: ignore[method-assign]  # until `finally`
             lambda points, twist=None: view_at(points, twists if twist is None else twists + twist)
         )
         with torch.inference_mode():

@@ -33,7 +33,7 @@ def test_a_twist_by_cells_changes_nothing_and_another_something(model):
 
 @pytest.mark.parametrize("looks", [2, 3])
 def test_a_twist_by_a_part_of_a_cell_permutes_as_many_looks(model, looks, monkeypatch):
-    """Of one place in one view: their mean stays, where each look alone changes."""
+    """The mean of looks at one place in one view stays, where each look alone changes."""
     image = torch.rand(1, 3, 96, 128, generator=torch.Generator().manual_seed(1))
     point, parts = torch.tensor([1.0, -2.0, 14.0]), torch.tensor([1, 3 * looks + 1]) * CELL / looks
     monkeypatch.setattr(polar_pose, "FARTHER", 1.0)

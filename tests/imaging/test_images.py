@@ -167,7 +167,7 @@ def test_white_is_a_level_of_the_file_whatever_its_maxval(tmp_path, form, maxval
 
 @pytest.mark.skipif(not features.check("jpg_2000"), reason="this Pillow has no JPEG 2000")
 def test_jpeg_2000_has_eight_bits_or_sixteen_of_gray(tmp_path):
-    """Of other depths Pillow moves the levels up to 16 bits, or keeps 8 of them."""
+    """Pillow shifts the levels of other bit depths to 16 bits, or keeps 8 bits of them."""
     path = tmp_path / "deep.jp2"
     Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(path)
     assert read_rgb(path, 2000).getpixel((5, 5)) == (128, 128, 128)

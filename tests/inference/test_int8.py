@@ -162,7 +162,7 @@ def test_images_for_a_network_of_undistorted_ones_are_taken_as_such(
 
 
 def test_calibration_images_are_of_the_camera_beside_them(graph, images, tmp_path):
-    """Of another focal length they are reprojected, as ffpose predict does it; a name is told."""
+    """Images of another focal length are reprojected, as by predict; an error names the image."""
     view = Camera(32, 16, 20.0, 20.0, 16.0, 8.0)
     config = replace(read_model_metadata(graph).config, camera=(20.0, 20.0, 16.0, 8.0))
     metadata = replace(read_model_metadata(graph), config=config, camera=view)

@@ -240,7 +240,7 @@ def test_looks_that_do_not_agree_or_are_of_another_place_do_not_count(angle, sam
 
 
 TURNS = Rotation.from_rotvec([[0, 0, 0], [4, 0, 0], [9, 0, 0], [0, 5, 1], [0, 0, 7]], degrees=True)
-"""Of each look in order, near enough to be taken for the same attitude."""
+"""Attitudes that the looks find, in order; all within 15 degrees of each other."""
 
 
 @pytest.mark.parametrize(
