@@ -133,11 +133,11 @@ impl Filter {
         })
     }
 
-    /// Takes a frame in, with the weight of errors of such tails; returns the weight, 1 for an ordinary frame.
+    /// Takes a frame in, with the weight of errors of such tails, 1 for an ordinary frame.
     ///
     /// Student's t: a residual counts as one of a covariance larger by the inverse of the weight. The covariance after it
     /// is of Joseph's form, and the attitude's error is turned to the new attitude (the reset).
-    pub fn correct(&mut self, innovation: &Innovation, parameters: &Parameters) -> f64 {
+    pub fn correct(&mut self, innovation: &Innovation, parameters: &Parameters) {
         let tails = parameters.tails;
         let weight = if tails.is_finite() && innovation.nis > ORDINARY {
             (tails + ORDINARY) / (tails + innovation.nis)
@@ -156,7 +156,6 @@ impl Filter {
         self.covariance = left + rest * gain.transpose();
         self.apply(&change);
         self.tidy();
-        weight
     }
 
     /// Adds the estimated error to the state, after which none is left.

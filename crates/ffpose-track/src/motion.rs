@@ -184,7 +184,8 @@ impl Way {
         }
         let rate = parameters.orbital_rate();
         let n = rate.norm();
-        let (up, normal) = (Vector3::from(parameters.zenith), rate / n);
+        let (zenith, normal) = (Vector3::from(parameters.zenith), rate / n);
+        let up = (zenith - normal * normal.dot(&zenith)).normalize(); // it was given rounded
         let along = normal.cross(&up);
         let x = n * t;
         let q = Quotients::new(x);

@@ -197,9 +197,11 @@ impl Parameters {
         self.inertia[..3] != [self.inertia[0]; 3] || self.inertia[3..] != [0.0; 3]
     }
 
-    /// The inertia as a matrix.
+    /// The inertia as a matrix, whose unit is the largest number of it.
     pub(crate) fn inertia(&self) -> Matrix3<f64> {
-        let [xx, yy, zz, xy, xz, yz] = self.inertia;
+        let largest = self.inertia.iter().fold(0.0, |most, part| fabs(*part).max(most));
+        let unit = if largest > 0.0 { largest } else { 1.0 };
+        let [xx, yy, zz, xy, xz, yz] = self.inertia.map(|part| part / unit);
         Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
     }
 
@@ -225,7 +227,7 @@ impl Parameters {
 
     /// Whether position and velocity move as in an orbit.
     pub(crate) fn has_orbit(&self) -> bool {
-        self.orbital_rate.iter().any(|part| *part != 0.0)
+        self.orbital_rate().norm() > 0.0 // of a rate too small to count none
     }
 
     /// The camera's angular velocity in its orbit, rad/s along its axes; zero without one.

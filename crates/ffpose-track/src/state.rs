@@ -56,7 +56,12 @@ impl Tracker {
     pub fn from_bytes(bytes: &[u8], tag: &[u8; TAG_BYTES]) -> Result<Self, Error> {
         let fault = |reason| Error::State { reason };
         if !bytes.starts_with(&MAGIC) {
-            return Err(fault("expected the saved state of a tracker, got other bytes"));
+            let is_other = bytes.starts_with(&MAGIC[..MAGIC.len() - 1]);
+            return Err(fault(if is_other {
+                "expected a state of this version, got that of another, which is to be removed"
+            } else {
+                "expected the saved state of a tracker, got other bytes"
+            }));
         }
         if bytes.len() != STATE_BYTES {
             return Err(fault("expected the saved state of a tracker, got it cut short or longer"));

@@ -192,6 +192,25 @@ impl Tracker {
         self.time
     }
 
+    /// Checks that the next frame may have a time, seconds.
+    ///
+    /// # Errors
+    ///
+    /// It is NaN or infinite, or not later than the last where a track leads, or earlier by no more than `coasting`.
+    pub fn check_time(&self, time: f64) -> Result<(), Error> {
+        finite("time", [time].iter())?;
+        let Some(last) = self.time.filter(|last| time <= *last) else { return Ok(()) };
+        let follows = self.hypotheses.iter().any(Option::is_some);
+        // a leader of one frame may be of the wrong time itself
+        let leads = self
+            .leading
+            .is_some_and(|place| self.hypotheses[place].is_some_and(|one| one.agreed > 1.0));
+        if follows && (leads || last - time <= self.parameters.coasting) {
+            return Err(Error::Time { last, got: time });
+        }
+        Ok(())
+    }
+
     /// Forgets all frames, and their times, as if it had seen none.
     pub fn reset(&mut self) {
         self.time = None;
@@ -218,7 +237,7 @@ impl Tracker {
         measurement: Option<&Measurement>,
         camera_rate: [f64; 3],
     ) -> Result<Step, Error> {
-        finite("time", [time].iter())?;
+        self.check_time(time)?;
         finite("camera_rate", camera_rate.iter())?;
         let turning = Vector3::from(camera_rate).norm();
         if turning > 0.0 && self.parameters.has_orbit() {
@@ -226,15 +245,7 @@ impl Tracker {
                 "zero with an orbital rate, of a camera that keeps its attitude to the Earth";
             return Err(Error::Parameter { name: "camera_rate", expected, got: turning });
         }
-        if let Some(last) = self.time.filter(|last| time <= *last) {
-            let follows = self.hypotheses.iter().any(Option::is_some);
-            // a leader of one frame may be of the wrong time itself
-            let leads = self
-                .leading
-                .is_some_and(|place| self.hypotheses[place].is_some_and(|one| one.agreed > 1.0));
-            if follows && (leads || last - time <= self.parameters.coasting) {
-                return Err(Error::Time { last, got: time });
-            }
+        if self.time.is_some_and(|last| time <= last) {
             self.reset();
         }
         let elapsed = self.time.map_or(0.0, |last| time - last);

@@ -160,6 +160,9 @@ fn states_of_others_and_damaged_ones_are_refused() {
         "state: expected the saved state of a tracker, got it cut short or longer"
     );
     assert_eq!(fault(b"{}", 3), "state: expected the saved state of a tracker, got other bytes");
+    let other =
+        "state: expected a state of this version, got that of another, which is to be removed";
+    assert_eq!(fault(b"FFTRACK1 and its numbers", 3), other);
     let mut damaged = bytes;
     damaged[777] ^= 4;
     assert_eq!(fault(&damaged, 3), "state: damaged: its checksum is not that of its bytes");

@@ -129,6 +129,56 @@ fn a_free_body_keeps_its_angular_momentum_and_its_energy() {
 }
 
 #[test]
+fn settings_that_mean_the_same_give_the_same_track() {
+    let follow = |parameters| {
+        let mut random = Random(5);
+        let mut tracker = Tracker::new(parameters).unwrap();
+        for t in 0..9 {
+            let shown = Shown::tumbling(f64::from(t), &mut random);
+            tracker.step(f64::from(t), Some(&shown.measurement()), STILL).unwrap();
+        }
+        tracker.step(60.0, None, STILL).unwrap().estimate.unwrap()
+    };
+    let same = |a: Parameters, b: Parameters| {
+        let (a, b) = (
+            follow(Parameters { coasting: 99.0, ..a }),
+            follow(Parameters { coasting: 99.0, ..b }),
+        );
+        close(&a.position, &b.position, 1e-6); // m
+        close(&a.orientation, &b.orientation, 1e-9);
+        close(a.covariance.as_slice(), b.covariance.as_slice(), 1e-6);
+    };
+    let of = |orbital_rate, zenith| Parameters { orbital_rate, zenith, ..trusting() };
+    let half = core::f64::consts::FRAC_1_SQRT_2;
+    // a zenith as it is typed, and a rate too small to be one
+    same(of([1.1e-3, 0.0, 0.0], [0.0, -half, half]), of([1.1e-3, 0.0, 0.0], [0.0, -0.707, 0.707]));
+    same(of([0.0; 3], [0.0, -1.0, 0.0]), of([1e-200, 0.0, 0.0], [0.0, -1.0, 0.0]));
+    // an inertia in any unit
+    let body = |unit: f64| {
+        let inertia = [1.0, 2.0, 2.5, 0.1, -0.2, 0.05].map(|part| part * unit);
+        Parameters { inertia, ..trusting() }
+    };
+    for unit in [1e-110, 1e150, 6e307] {
+        same(body(1.0), body(unit));
+    }
+}
+
+#[test]
+fn a_time_is_told_before_there_is_a_frame() {
+    let (mut random, mut tracker) = (Random(5), Tracker::new(Parameters::default()).unwrap());
+    tracker.check_time(-1e9).unwrap();
+    for t in 0..9 {
+        let shown = Shown::tumbling(f64::from(t), &mut random);
+        tracker.step(f64::from(t), Some(&shown.measurement()), STILL).unwrap();
+    }
+    for time in [8.0, -1e9, f64::NAN] {
+        let expected = tracker.clone().step(time, None, STILL).unwrap_err();
+        assert_eq!(tracker.check_time(time).unwrap_err().to_string(), expected.to_string());
+    }
+    tracker.check_time(8.1).unwrap();
+}
+
+#[test]
 fn a_million_steps_with_gaps_and_outliers_stay_sound() {
     let (mut random, mut t) = (Random(11), 0.0);
     let mut tracker = Tracker::new(Parameters::default()).unwrap();
