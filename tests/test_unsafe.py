@@ -11,6 +11,7 @@ CRATES = Path(__file__).parents[1] / "crates"
 PLACES = {
     "ffpose-core/src/simd": "vector instructions, and memory read and written as vectors",
     "ffpose-onboard/src/c.rs": "pointers that come from C",
+    "ffpose-onboard/src/watch.rs": "the scheduler's functions",
     "ffpose-ort/src/border": "ONNX Runtime's C functions, and those that it calls",
     "ffpose-py/src/array.rs": "NumPy's memory, without flags that a forked child keeps",
     "ffpose-py/src/pool.rs": "torch's threads, by their C symbols",

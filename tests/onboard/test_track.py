@@ -148,6 +148,18 @@ def test_attitudes_modulo_a_symmetry_continue_the_track(run, models, frames, tmp
     assert [*parts[0], *parts[1]] == documents
 
 
+def test_looks_that_a_model_was_exported_with_must_be_there(run, models, opened, library):
+    beside = models.with_suffix(".track.onnx")
+    beside.unlink()
+    refusal = f"{beside}: expected this file, a track's looks that {models} was exported with"
+    code, documents, (error,) = run(models, "--track")
+    assert (code, documents) == (1, [])
+    assert refusal in error
+    assert opened()[0] == 2
+    assert refusal.encode() in library.ffpose_error()
+    assert run(models, "--stdin")[0] == 0  # which needs none
+
+
 def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):
     """The digest of X.onnx covers X.track.onnx, which it records the digest of."""
 
@@ -736,7 +748,7 @@ int main(int, char **words) {
 def test_no_more_threads_than_the_program_takes(library, opened):
     code, handle = opened(threads=1025)
     assert (code, handle.value) == (2, None)
-    assert library.ffpose_error() == b"threads: expected at most 1024, got 1025"
+    assert library.ffpose_error() == b"settings.threads: expected at most 1024, got 1025"
 
 
 def test_a_state_of_any_name_is_renamed_from_one_of_its_own(library, opened, tmp_path):

@@ -39,9 +39,10 @@ typedef enum {
 
 typedef struct ffpose ffpose;
 
-/* Paths; null where not needed. Zero everything first: a later version, for which programs are compiled anew, may add fields. */
+/* Paths; null, or empty, where not needed. Zero everything first: a later version, for which programs are compiled anew, may add fields. */
 typedef struct {
-  const char *model;     /* X.onnx of `ffpose export`; X.track.onnx beside it is opened too where it is there */
+  const char *model;     /* X.onnx of `ffpose export`; X.track.onnx beside it is opened too, and must be there if X.onnx was
+                            exported with --track */
   const char *runtime;   /* ONNX Runtime's library; null: ORT_DYLIB_PATH, else libonnxruntime.so */
   const char *operators; /* libffpose_ort.so, for models with filters */
   const char *camera;    /* JSON of the camera that takes the images, if another than the model's */
@@ -90,7 +91,8 @@ int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
 
 /* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once, before the image is looked at. Copying
  * the pixels, taking out a lens's distortion and resizing are each done whole; the network's run is ended between two nodes of its
- * graph. FFPOSE_OK means within the limit: an answer that comes after it is dropped, and the code is FFPOSE_LATE. */
+ * graph, by a thread of ffpose_open's. For a caller of a real-time policy it takes a priority above the caller's: without the right to
+ * it (Linux: CAP_SYS_NICE or RLIMIT_RTPRIO), on one processor, the run ends by itself, late. FFPOSE_OK means within the limit: an answer that comes after it is dropped, and the code is FFPOSE_LATE. */
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected. The whole frame is
@@ -103,7 +105,7 @@ int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, d
 /* Forgets the track and the times of its frames, as after ffpose_open: where a clock was set back, or the target is another one. */
 int32_t ffpose_reset(ffpose *handle);
 
-/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model, camera (or resize) and
+/* Writes the track to a file, by a new one that is renamed, one track to one file; and takes it up again, by the same model, camera (or resize) and
  * settings of the track: others' are refused. */
 int32_t ffpose_save(const ffpose *handle, const char *path);
 int32_t ffpose_restore(ffpose *handle, const char *path);

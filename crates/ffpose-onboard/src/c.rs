@@ -252,6 +252,7 @@ pub unsafe extern "C" fn ffpose_track(
             expect_pointer("motion", motion)?;
             let deadline = deadline(seconds)?;
             estimator.expect_uncertainty()?;
+            track.expect_time(time)?;
             let outputs = if image.is_null() || deadline.is_past() {
                 None
             } else {
@@ -332,12 +333,13 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), F
     };
     let threads = s.threads as usize;
     if threads > MAX_THREADS {
-        let found = format!("threads: expected at most {MAX_THREADS}, got {threads}");
+        let found = format!("settings.threads: expected at most {MAX_THREADS}, got {threads}");
         return Err(Error::new(found).into());
     }
     let setup = Setup {
         model: model.ok_or(Fault::Null("settings.model"))?,
         tracks: true,
+        has_deadlines: true,
         threads: (threads > 0).then_some(threads),
         sha256: sha256.map_err(Error::new)?,
         runtime: runtime.or_else(default_runtime),
@@ -347,6 +349,8 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), F
     Ok((setup, track))
 }
 
+/// Returns a path; None of an empty one too.
+///
 /// # Safety
 /// `text` is null or ended by a zero.
 unsafe fn path_of(name: &'static str, text: *const c_char) -> Result<Option<PathBuf>, Fault> {
@@ -357,7 +361,7 @@ unsafe fn path_of(name: &'static str, text: *const c_char) -> Result<Option<Path
     let bytes = unsafe { CStr::from_ptr(text) };
     let text =
         bytes.to_str().map_err(|_| Error::new(format!("{name}: expected UTF-8, got {bytes:?}")))?;
-    Ok(Some(text.into()))
+    Ok((!text.is_empty()).then(|| text.into()))
 }
 
 /// Copies an image, its size checked first.

@@ -1,8 +1,7 @@
 //! A model that is ready to run, and the way from an image to a pose.
 
 use std::path::Path;
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::thread;
+use std::sync::Arc;
 use std::time::Instant;
 
 use ffpose_track::Symmetry;
@@ -21,6 +20,7 @@ use crate::picture::Picture;
 use crate::pose::{Meaning, Outputs, Uncertainty, document};
 use crate::reprojection::Reprojection;
 use crate::runtime::{open_session, refused};
+use crate::watch::Watch;
 
 const INPUT: &str = "images";
 const POINT: &str = "point";
@@ -37,6 +37,8 @@ pub struct Estimator {
     near: Option<Session>,
     /// Whether the model says how far its poses may be off.
     tells_uncertainty: bool,
+    /// What ends a run whose time is over; None where all have time.
+    watch: Option<Watch>,
 }
 
 /// What limits a look.
@@ -76,11 +78,13 @@ impl Estimator {
             return Err(Error::new(found).of(setup.model.display()));
         }
         let camera = adapt(&mut model.metadata, &setup.images)?;
-        let session = open_session(setup, &model)?;
+        let session = open_session(setup, &setup.model, &model)?;
         let near = if setup.tracks { open_beside(setup, &model)? } else { None };
         let tag = tag(&model, &setup.images);
         let metadata = model.metadata;
-        let mut estimator = Self { metadata, tag, camera, session, near, tells_uncertainty: true };
+        let watch = setup.has_deadlines.then(Watch::start).transpose()?;
+        let tells_uncertainty = true;
+        let mut estimator = Self { metadata, tag, camera, session, near, tells_uncertainty, watch };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
         let black = vec![0.0; size];
@@ -157,16 +161,17 @@ impl Estimator {
     fn run(&mut self, input: &[f32], look: Look) -> Result<Option<Outputs>> {
         let shape = [1, 3, self.metadata.preprocessing.height, self.metadata.preprocessing.width];
         let tensor = TensorRef::from_array_view((shape, input)).map_err(|error| refused(&error))?;
+        let (watch, deadline) = (self.watch.as_ref(), look.deadline);
         let Some((session, at)) = self.near.as_mut().zip(look.at) else {
             let inputs = ort::inputs![INPUT => tensor];
-            return run_until(&mut self.session, look.deadline, inputs.into());
+            return run_until(&mut self.session, watch, deadline, inputs.into());
         };
         #[allow(clippy::cast_possible_truncation)] // as Python hands it over
         let point = at.map(|part| part as f32);
         let point =
             TensorRef::from_array_view(([1, 3], &point[..])).map_err(|error| refused(&error))?;
         let inputs = ort::inputs![INPUT => tensor, POINT => point];
-        run_until(session, look.deadline, inputs.into())
+        run_until(session, watch, deadline, inputs.into())
     }
 }
 
@@ -180,16 +185,22 @@ fn tag(model: &Model, images: &Taken) -> [u8; 32] {
     hash.finalize().into()
 }
 
-/// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.
+/// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none, and the model records none.
 ///
 /// They are those whose digest the model records. One that records none takes any of its weights, but for where its own digest is
 /// given: that would not cover them.
 fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     let path = setup.model.with_extension("track.onnx");
-    if !files::exists(&path)? {
-        return Ok(None);
-    }
     let recorded = whole.metadata.track_sha256.as_deref();
+    if !files::exists(&path)? {
+        return recorded.map_or(Ok(None), |_| {
+            Err(Error::new(format!(
+                "expected this file, a track's looks that {} was exported with, got none: copy it too, or export without --track",
+                setup.model.display()
+            ))
+            .of(path.display()))
+        });
+    }
     if recorded.is_none() && setup.sha256.is_some() {
         return Err(Error::new(format!(
             "expected a model that records the SHA-256 of these looks, which --sha256 then covers, got {} without: export it anew \
@@ -205,39 +216,30 @@ fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
         let expected = "expected a track's looks of the weights of the model beside it";
         return Err(Error::new(expected).of(path.display()));
     }
-    open_session(setup, &beside).map(Some)
+    open_session(setup, &path, &beside).map(Some)
 }
 
 /// Runs a session, until a deadline if there is one: None where it has come before the outputs, when the run is terminated.
 fn run_until(
     session: &mut Session,
+    watch: Option<&Watch>,
     deadline: Deadline,
     inputs: SessionInputs<'_, '_>,
 ) -> Result<Option<Outputs>> {
-    let Some(end) = deadline.0 else {
-        return read_outputs(&session.run(inputs).map_err(|error| refused(&error))?).map(Some);
+    let Some((watch, end)) = watch.zip(deadline.0) else {
+        let outputs = session.run(inputs).map_err(|error| refused(&error));
+        return deadline.keeps(outputs.and_then(|outputs| read_outputs(&outputs)));
     };
-    let left = end.saturating_duration_since(Instant::now());
-    if left.is_zero() {
+    if deadline.is_past() {
         return Ok(None);
     }
-    let options = RunOptions::new().map_err(|error| refused(&error))?;
-    let (done, ended) = mpsc::channel::<()>();
-    let result = thread::scope(|scope| {
-        let options = &options;
-        let watch = move || {
-            if ended.recv_timeout(left) == Err(RecvTimeoutError::Timeout) {
-                let _ = options.terminate(); // one that fails lets the run end by itself
-            }
-        };
-        thread::Builder::new()
-            .spawn_scoped(scope, watch)
-            .map_err(|error| Error::new(format!("no thread can be started: {error}")))?;
-        let result = session.run_with_options(inputs, options);
-        drop(done);
-        Ok(result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)))
-    })?;
-    deadline.keeps(result)
+    let options = Arc::new(RunOptions::new().map_err(|error| refused(&error))?);
+    let ended = Arc::clone(&options);
+    // A run that cannot be terminated ends by itself.
+    let terminate = move || drop(ended.terminate());
+    let outputs = watch.over(end, terminate, || session.run_with_options(inputs, &*options));
+    let outputs = outputs.map_err(|error| refused(&error));
+    deadline.keeps(outputs.and_then(|outputs| read_outputs(&outputs)))
 }
 
 /// Prepares a model for the images to come; returns the camera whose aspect ratio they must have, `None` for any.

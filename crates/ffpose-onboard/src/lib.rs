@@ -1,6 +1,6 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, for the program and for C (`c.rs`).
 //!
-//! `frames → picture (codecs) → preprocessing (reprojection, resize) → estimator (model, runtime) → pose → answers`; a
+//! `frames → picture (codecs) → preprocessing (reprojection, resize) → estimator (model, runtime, watch) → pose → answers`; a
 //! track follows the poses (`track.rs`, by the crate ffpose-track) and says where the next look goes.
 
 pub mod answers;
@@ -26,3 +26,4 @@ mod resize;
 mod runtime;
 pub mod track;
 mod undistortion;
+mod watch;

@@ -33,7 +33,11 @@ fn main() -> ExitCode {
     match run(&options) {
         Ok(Outcome { failed: 0, .. }) => ExitCode::SUCCESS,
         Ok(Outcome { images, failed }) => {
-            say(&format!("{failed} of {images} images have no pose"));
+            say(&if matches!(options.source, Source::Track(_)) {
+                format!("{failed} of {images} lines have an error")
+            } else {
+                format!("{failed} of {images} images have no pose")
+            });
             SOME_FAILED.into()
         }
         Err(error) => {

@@ -55,6 +55,8 @@ pub struct Setup {
     pub model: PathBuf,
     /// Whether its looks where an object is expected are opened too, if they are beside it.
     pub tracks: bool,
+    /// Whether looks may have to end in a time.
+    pub has_deadlines: bool,
     /// That an image is computed with; `None`: as many as ONNX Runtime finds good.
     pub threads: Option<usize>,
     /// The digest that the ONNX file must have, hexadecimal.
@@ -188,6 +190,7 @@ impl Given {
         let setup = Setup {
             model: self.model.ok_or("expected --model, got none")?,
             tracks: self.track,
+            has_deadlines: false,
             threads: self.threads,
             sha256: self.sha256,
             runtime: self.runtime.or_else(default_runtime),
@@ -241,6 +244,7 @@ mod tests {
         let setup = Setup {
             model: "m.onnx".into(),
             tracks: false,
+            has_deadlines: false,
             threads: Some(2),
             sha256: Some("0a".repeat(32)),
             runtime: Some("/r.so".into()),

@@ -18,15 +18,15 @@ use crate::options::Setup;
 /// A process has one.
 static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
 
-/// Opens a model as it was read, by the library of the first that was opened in this process.
+/// Opens the model of a file as it was read, by the library of the first that was opened in this process.
 ///
 /// # Errors
 /// ONNX Runtime, the operator's library or the model cannot be loaded, or the library is needed and not named.
-pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
+pub fn open_session(options: &Setup, path: &Path, model: &Model) -> Result<Session> {
     if model.metadata.needs_operators && options.operators.is_none() {
         return Err(Error::new(format!(
             "{}: expected --operators with the path of libffpose_ort.so, by which this model computes its filters, got none",
-            options.model.display()
+            path.display()
         )));
     }
     let mut loaded = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
@@ -49,7 +49,7 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
         builder = register(builder, library)?;
     }
     let session = builder.commit_from_memory(&model.bytes);
-    session.map_err(|error| refused(&error).of(options.model.display()))
+    session.map_err(|error| refused(&error).of(path.display()))
 }
 
 /// Whether the processor adds products of 8-bit numbers in 32 bits (AVX512-VNNI, AVX-VNNI); others add pairs in 16, which saturate.

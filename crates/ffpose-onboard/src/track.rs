@@ -1,7 +1,7 @@
 //! A track of the poses, its state in a file, and its lines.
 
 use std::ffi::OsString;
-use std::fs::{File, remove_file, rename};
+use std::fs::{self, File, remove_file, rename};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -80,6 +80,7 @@ impl Track {
         let seconds = time.parse().map_err(|_| {
             Error::new(format!("time: expected seconds before the path, got \"{time}\""))
         })?;
+        self.expect_time(seconds)?;
         let (at, meaning) = (self.expected(seconds), *estimator.meaning());
         let look = || estimator.outputs(path, at);
         self.advance(seconds, (!path.as_os_str().is_empty()).then_some(look), &meaning)
@@ -127,6 +128,11 @@ impl Track {
         self.tracker.reset();
     }
 
+    /// Refuses a time, seconds, that no frame can have next.
+    pub(crate) fn expect_time(&self, time: f64) -> Result<()> {
+        self.tracker.check_time(time).map_err(|error| Error::new(error.to_string()))
+    }
+
     /// Where the object is expected at a time, seconds; None for anywhere.
     pub(crate) fn expected(&self, time: f64) -> Option<[f64; 3]> {
         self.tracker.expected(time, [0.0; 3])
@@ -139,8 +145,9 @@ impl Track {
     }
 
     /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one, once this has
-    /// returned the new one where a folder can be synced.
+    /// returned the new one where a folder can be synced. A link stays, and what it points to is written.
     pub(crate) fn save(&self, path: &Path) -> Result<()> {
+        let path = &resolved(path);
         let refused = |error| Error::new(format!("cannot be written: {error}")).of(path.display());
         let mut name = OsString::from(".");
         name.push(path.file_name().unwrap_or_default());
@@ -178,6 +185,12 @@ impl Track {
         self.tracker = tracker.modulo(self.tracker.symmetry().clone());
         Ok(())
     }
+}
+
+/// The file that a path is of, also where that is a link to one that is not there yet.
+fn resolved(path: &Path) -> PathBuf {
+    let linked = || fs::read_link(path).map(|to| path.parent().unwrap_or(Path::new("")).join(to));
+    fs::canonicalize(path).or_else(|_| linked()).unwrap_or_else(|_| path.into())
 }
 
 /// The settings of a track: the usual ones, what the model knows of its errors, and those of a file.
@@ -312,6 +325,21 @@ mod tests {
         }
         assert_eq!(next(None).0["reason"], "coasted");
         assert_eq!(next(Some(Box::new(|| Ok(outputs(1e-3))))).0["reason"], "accepted");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_stays_and_what_it_points_to_is_written() {
+        let folder = std::env::temp_dir().join(format!("ffpose-track-link-{}", std::process::id()));
+        fs::create_dir_all(folder.join("data")).unwrap();
+        let (link, state) = (folder.join("link"), folder.join("data/track.state"));
+        std::os::unix::fs::symlink("data/track.state", &link).unwrap();
+        for _ in 0..2 {
+            track().save(&link).unwrap(); // to a file that is not there yet, and to one that is
+            assert!(link.is_symlink() && !state.is_symlink());
+            assert_eq!(fs::read(&state).unwrap().len(), STATE_BYTES);
+        }
+        fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
