@@ -341,7 +341,7 @@ def shade_earth(
         altitude: Height of the camera above the ground, more than zero.
         sun: Unit vector to the sun.
         ground: Rotation ``(3, 3)`` into the frame of land and clouds.
-        detail: Noise octaves of the clouds, 0…255; finer images need more.
+        detail: Noise octaves of the clouds, 0…16; finer images need more.
         pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
     """
     return _rust.shade_earth(

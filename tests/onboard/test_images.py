@@ -48,9 +48,18 @@ def test_the_input_is_that_of_python_to_the_bit(run, folder, tmp_path, mode, int
         assert_same(document, expected(estimator, Path(document["image"])), 0)
 
 
+def numbered(data):
+    """A JPEG file of components R, G, B, whose names are 1, 2, 3 as of YCbCr: Adobe's marker tells."""
+    header, scan = data.index(b"\xff\xc0") + 10, data.index(b"\xff\xda") + 5
+    changed = bytearray(data)
+    changed[header : header + 7 : 3] = changed[scan : scan + 5 : 2] = b"\1\2\3"
+    assert [data[scan], changed[scan]] == [ord("R"), 1]
+    return bytes(changed)
+
+
 def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
     smooth = picture(16, 12).resize((128, 96), Image.Resampling.BICUBIC)
-    gray = smooth.convert("L")
+    gray, rgb = smooth.convert("L"), jpeg(smooth, keep_rgb=True)
     images = folder(
         {
             "baseline.jpg": jpeg(smooth),
@@ -58,6 +67,8 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
             "progressive.JPG": jpeg(smooth, progressive=True),
             "trailer.jpg": jpeg(smooth) + b"trailer \xff\xda",
             "whole.jpg": jpeg(smooth, subsampling=0),
+            "rgb.jpg": rgb,
+            "rgb_by_number.jpg": numbered(rgb),
         }
     )
     code, documents, _ = run(model, "--images", images)

@@ -62,7 +62,8 @@ fn search(message: &[u8], kind: Message, depth: usize) -> Result<()> {
             "expected at most {MAX_DEPTH} messages within each other, got more"
         )));
     }
-    for (number, part) in records(message)? {
+    for record in records(message) {
+        let (number, part) = record?;
         if let Some((_, kind)) = kind.fields().iter().find(|(field, _)| *field == number) {
             search(part, *kind, depth + 1)?;
         } else if kind == Tensor && number == EXTERNAL_DATA {
@@ -78,7 +79,8 @@ fn search(message: &[u8], kind: Message, depth: usize) -> Result<()> {
 }
 
 fn text(message: &[u8], number: u64) -> Result<String> {
-    let found = records(message)?.into_iter().find(|(field, _)| *field == number);
+    let fields = records(message).collect::<Result<Vec<_>>>()?;
+    let found = fields.into_iter().find(|(field, _)| *field == number);
     Ok(String::from_utf8_lossy(found.map_or(&[], |(_, bytes)| bytes)).into_owned())
 }
 

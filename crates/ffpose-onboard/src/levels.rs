@@ -5,6 +5,8 @@
     clippy::cast_sign_loss
 )]
 
+use std::fmt::{self, Display, Formatter};
+
 use serde_json::Value;
 
 use crate::error::{Error, Result};
@@ -48,13 +50,22 @@ impl White {
         };
         if white <= 0.0 {
             return Err(Error::new(format!(
-                "expected a level above 0 that is white ({self:?}), got {white}"
+                "expected a level above 0 that is white ({self}), got {white}"
             )));
         }
         let scaled = |level| (f64::from(level) / white).min(1.0) * 255.0;
         let table: Vec<u8> =
             (0..=u16::MAX).map(|level| scaled(level).round_ties_even() as u8).collect();
         Ok(levels.iter().map(|&level| table[usize::from(level)]).collect())
+    }
+}
+
+impl Display for White {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Level(level) => write!(f, "{level}"),
+            Self::Percentile(percentage) => write!(f, "p{percentage}"),
+        }
     }
 }
 
@@ -106,7 +117,7 @@ mod tests {
         assert!((percentile(&[7], 30.0) - 7.0).abs() < 1e-9);
         assert_eq!(White::Percentile(100.0).scale(&[0, 200]).unwrap(), [0, 255]);
         let error = White::Percentile(50.0).scale(&[0, 0, 9]).unwrap_err().to_string();
-        assert!(error.contains("expected a level above 0"), "{error}");
+        assert_eq!(error, "expected a level above 0 that is white (p50), got 0");
     }
 
     #[test]

@@ -123,8 +123,12 @@ impl Metadata {
 
 fn entries(data: &[u8]) -> Result<HashMap<String, String>> {
     let mut found = HashMap::new();
-    for (_, entry) in records(data)?.into_iter().filter(|(field, _)| *field == METADATA_PROPS) {
-        let parts: HashMap<u64, &[u8]> = records(entry)?.into_iter().collect();
+    for record in records(data) {
+        let (field, entry) = record?;
+        if field != METADATA_PROPS {
+            continue;
+        }
+        let parts = records(entry).collect::<Result<HashMap<u64, &[u8]>>>()?;
         let text = |number| {
             let bytes = parts.get(&number).copied().unwrap_or_default().to_vec();
             String::from_utf8(bytes).map_err(|error| Error::new(format!("metadata: {error}")))

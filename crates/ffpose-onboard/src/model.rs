@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::graph::expect_self_contained;
-use crate::metadata::{Metadata, sha256};
+use crate::metadata::Metadata;
 
 /// Largest number of bytes, that of a protobuf message.
 const MAX_BYTES: u64 = i32::MAX as u64;
@@ -36,15 +36,14 @@ impl Model {
     }
 
     fn of(bytes: Vec<u8>, digest: Option<&str>, source: &str) -> Result<Self> {
-        if let Some(digest) = digest {
-            let got = sha256(&bytes);
-            if got != digest {
-                return Err(Error::new(format!("expected SHA-256 {digest} ({source}), got {got}")));
-            }
+        let own = Sha256::digest(&bytes);
+        let got = format!("{own:x}");
+        if let Some(digest) = digest.filter(|digest| *digest != got) {
+            return Err(Error::new(format!("expected SHA-256 {digest} ({source}), got {got}")));
         }
         let metadata = Metadata::of(&bytes)?;
         expect_self_contained(&bytes)?;
-        Ok(Self { metadata, digest: Sha256::digest(&bytes).into(), bytes })
+        Ok(Self { metadata, digest: own.into(), bytes })
     }
 }
 

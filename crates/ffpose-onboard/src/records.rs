@@ -4,31 +4,32 @@
 
 use crate::error::{Error, Result};
 
-/// Returns the length-delimited fields of a message, by number; the others are skipped.
-pub fn records(message: &[u8]) -> Result<Vec<(u64, &[u8])>> {
-    let mut reader = Reader { message, place: 0 };
-    let mut found = Vec::new();
-    while reader.place < message.len() {
-        let key = reader.number()?;
-        let (field, kind) = (key >> 3, key & 7);
-        let place = reader.place;
-        let bytes = match kind {
-            0 => reader.number().map(|_| None)?,
-            1 => reader.bytes(8).map(|_| None)?,
-            2 => {
-                let length = reader.number()?;
-                Some(reader.bytes(length)?)
+/// Returns the length-delimited fields of a message, by number; the others are skipped. Nothing follows an error.
+pub fn records(message: &[u8]) -> Records<'_> {
+    Records { reader: Reader { message, place: 0 } }
+}
+
+/// The fields of [`records`].
+pub struct Records<'a> {
+    reader: Reader<'a>,
+}
+
+impl<'a> Iterator for Records<'a> {
+    type Item = Result<(u64, &'a [u8])>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let reader = &mut self.reader;
+        while reader.place < reader.message.len() {
+            let found = reader.record().transpose();
+            if !matches!(found, Some(Ok(_)) | None) {
+                reader.place = reader.message.len();
             }
-            5 => reader.bytes(4).map(|_| None)?,
-            _ => return Err(Error::new(format!("unknown wire type {kind} at byte {place}"))),
-        };
-        // Other readers take the lower 32 bits of a key, and would find another field.
-        if field == 0 || key > u64::from(u32::MAX) {
-            return Err(Error::new(format!("a record of field {field} at byte {place}")));
+            if found.is_some() {
+                return found;
+            }
         }
-        found.extend(bytes.map(|bytes| (field, bytes)));
+        None
     }
-    Ok(found)
 }
 
 struct Reader<'a> {
@@ -37,6 +38,28 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
+    /// Reads a field; None of one without a length.
+    fn record(&mut self) -> Result<Option<(u64, &'a [u8])>> {
+        let key = self.number()?;
+        let (field, kind) = (key >> 3, key & 7);
+        let place = self.place;
+        let bytes = match kind {
+            0 => self.number().map(|_| None)?,
+            1 => self.bytes(8).map(|_| None)?,
+            2 => {
+                let length = self.number()?;
+                Some(self.bytes(length)?)
+            }
+            5 => self.bytes(4).map(|_| None)?,
+            _ => return Err(Error::new(format!("unknown wire type {kind} at byte {place}"))),
+        };
+        // Other readers take the lower 32 bits of a key, and would find another field.
+        if field == 0 || key > u64::from(u32::MAX) {
+            return Err(Error::new(format!("a record of field {field} at byte {place}")));
+        }
+        Ok(bytes.map(|bytes| (field, bytes)))
+    }
+
     /// Reads a number of seven bits a byte, the lowest first.
     fn number(&mut self) -> Result<u64> {
         let mut value = 0;
@@ -67,7 +90,11 @@ impl<'a> Reader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::records;
+    use crate::error::Result;
+
+    fn records(message: &[u8]) -> Result<Vec<(u64, &[u8])>> {
+        super::records(message).collect()
+    }
 
     #[test]
     fn only_records_with_a_length_are_given() {

@@ -163,8 +163,13 @@ fn resize_rows(rows: &[&[u8]], taps: &[Taps]) -> Vec<u8> {
         Some(5) => resize_rows_by::<5>(rows, taps),
         Some(6) => resize_rows_by::<6>(rows, taps),
         _ => {
-            let pixel = |row: &&[u8], taps: &Taps| weighted(&taps.weights, &row[3 * taps.first..]);
-            rows.iter().flat_map(|row| taps.iter().flat_map(move |taps| pixel(row, taps))).collect()
+            let mut result = Vec::with_capacity(3 * rows.len() * taps.len());
+            for row in rows {
+                for taps in taps {
+                    result.extend(weighted(&taps.weights, &row[3 * taps.first..]));
+                }
+            }
+            result
         }
     }
 }

@@ -116,7 +116,9 @@ impl<'py> FromPyObject<'_, 'py> for Octaves {
     type Error = PyErr;
 
     fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
-        integer(argument, "detail must be in 0…255", |number| u8::try_from(number).ok().map(Self))
+        integer(argument, "detail must be in 0…16", |number| {
+            u8::try_from(number).ok().filter(|octaves| *octaves <= 16).map(Self)
+        })
     }
 }
 

@@ -30,12 +30,15 @@ pub fn decode(data: &[u8]) -> Result<Picture> {
     decoder.decode_headers().map_err(failed)?;
     let (width, height) = decoder.dimensions().unwrap_or_default();
     expect_size(width, height)?;
+    let components = decoder.info().map_or(0, |info| info.components);
     let (channels, wanted) = match decoder.input_colorspace() {
         Some(ColorSpace::Luma) => (1, ColorSpace::Luma),
-        Some(ColorSpace::RGB | ColorSpace::YCbCr) => (3, ColorSpace::RGB),
+        // Adobe's marker says of three components what of four is CMYK and YCCK; they are seen to later.
+        _ if components == 3 => (3, ColorSpace::RGB),
         other => {
+            let other = other.map_or("none".into(), |space| format!("{space:?}"));
             return Err(Error::new(format!(
-                "expected gray or color of RGB or YCbCr, got {other:?}"
+                "expected gray or color of RGB or YCbCr, got {components} components, {other}"
             )));
         }
     };
