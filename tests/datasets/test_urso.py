@@ -128,7 +128,7 @@ BROKEN = {
     "empty file": (POSES_FILE, table(SPLITS["train"]), "", f"{POSES_FILE}:1: expected a header"),
     "no image": (NAMES_FILE, "0_rgb", "7_rgb", "gt.csv: expected a row for 7_rgb.png"),
     "duplicate": (NAMES_FILE, "0_rgb", "2_rgb", f"{NAMES_FILE}:2: 2_rgb.png is on line 1"),
-    "empty name": (NAMES_FILE, "0_rgb.png", "", f"{NAMES_FILE}:2: expected the name"),
+    "empty name": (NAMES_FILE, "0_rgb.png", "\n0_rgb.png", f"{NAMES_FILE}:2: expected the name"),
     "path": (NAMES_FILE, "0_rgb", "../0_rgb", f"{NAMES_FILE}:2: expected the name"),
     "no names": (NAMES_FILE, "2_rgb.png\n0_rgb.png\n", "", f"{NAMES_FILE}: expected at least one"),
     "swapped": (NAMES_FILE, "2_rgb.png\n0", "0_rgb.png\n2", f"{POSES_FILE}:2: .*do not align"),
@@ -143,6 +143,13 @@ def test_a_broken_list_is_named_by_file_and_line(tmp_path, case):
     with pytest.raises(DataError, match=words) as caught:
         read(tmp_path)
     assert caught.value.file.parent == tmp_path
+
+
+def test_blank_lines_may_end_the_files_of_a_split(tmp_path):
+    write_set(tmp_path)
+    for file in (POSES_FILE, NAMES_FILE):
+        (tmp_path / file).write_text((tmp_path / file).read_text() + "\n  \n")
+    assert read(tmp_path).names == SPLITS["train"]
 
 
 def test_a_missing_image_is_named_by_its_line(tmp_path):

@@ -18,8 +18,15 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from ffpose._internal.files import read_text
-from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
+from ffpose.datasets.parsing import (
+    Entry,
+    Names,
+    expect_set,
+    expect_split,
+    find_image,
+    read_lines,
+    read_table,
+)
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target, camera_pose
@@ -65,8 +72,8 @@ def read(root: Path, split: str) -> list[Record]:
 
 
 def _text_entries(path: Path) -> Iterator[Entry]:
-    lines = read_text(path).splitlines()
-    if len(lines) < 3 or lines[1].strip() != _HEADER or lines[2].strip():
+    lines = read_lines(path)
+    if [line.strip() for line in lines[1:3]] not in ([_HEADER, ""], [_HEADER]):
         raise DataError(f"expected {_HEADER!r} on line 2 and line 3 empty", path, 2)
     columns = ("image", *POSE)
     for line, text in enumerate(lines[3:], start=4):
@@ -74,7 +81,7 @@ def _text_entries(path: Path) -> Iterator[Entry]:
         if len(fields) != len(columns):
             raise DataError(f"expected {' '.join(columns)}, got {text!r}", path, line)
         yield Entry(dict(zip(columns, fields, strict=True)), path, line)
-    if len(lines) == 3:
+    if len(lines) <= 3:
         raise DataError("expected at least one image, got none", path)
 
 

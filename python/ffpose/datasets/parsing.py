@@ -182,13 +182,18 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
     return header, rows
 
 
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file; blank ones at its end, which editors leave, do not count."""
+    return read_text(path).rstrip().splitlines()
+
+
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a CSV file, each one line, with its number; blank lines may end the file.
+    """Yield the rows of a CSV file, each one line of `read_lines`, with its number.
 
     A DataError if a line is not CSV: a quote stays open, or closes within a field, or a field is
     longer than `csv.field_size_limit`.
     """
-    for number, line in enumerate(read_text(path).rstrip().splitlines(), start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         try:  # Line by line: an open quote must not take the next lines for its field.
             fields = next(csv.reader([line], strict=True), [])
         except csv.Error as error:

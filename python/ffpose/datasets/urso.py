@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ffpose._internal.files import read_text
 from ffpose._internal.urso import (
     COLUMNS,
     LISTS,
@@ -23,7 +22,14 @@ from ffpose._internal.urso import (
     from_label,
     index_of,
 )
-from ffpose.datasets.parsing import Entry, Names, existing_splits, read_table, split_file
+from ffpose.datasets.parsing import (
+    Entry,
+    Names,
+    existing_splits,
+    read_lines,
+    read_table,
+    split_file,
+)
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Pose, Target
@@ -61,7 +67,7 @@ def read(root: Path, split: str) -> list[Record]:
 
 def _read_names(path: Path) -> list[str]:
     names, known = [], Names()
-    for line, text in enumerate(read_text(path).splitlines(), start=1):
+    for line, text in enumerate(read_lines(path), start=1):
         name = text.strip()
         if not name or Path(name).name != name:
             raise DataError(f"expected the name of an image, got {text!r}", path, line)
