@@ -56,12 +56,9 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
     path = Path(root) / CONDITIONS
     if not path.exists():
         return None
-    header, entries = read_table(path)
-    if not {"image", *LIMITS} <= set(header):
-        raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
     known, rows = Names(), dict[str, tuple[float, ...]]()
-    for entry in entries:
-        name = known.once(entry, entry.values["image"])
+    for entry in read_table(path, ("image", *LIMITS), others=True):
+        name = known.once(entry, entry.text("image"))
         rows[name] = entry.parsed(tuple(LIMITS))
         for (column, most), value in zip(LIMITS.items(), rows[name], strict=True):
             flag = column in FLAGS

@@ -160,17 +160,31 @@ def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> P
     return path
 
 
-def read_table(path: Path) -> tuple[list[str], list[Entry]]:
+def read_table(
+    path: Path, columns: Sequence[str], *perhaps: Sequence[str], others: bool = False
+) -> list[Entry]:
     """Read a CSV file with a header, and rows of as many fields; lines may end as on Windows.
 
-    A DataError if it is empty, a column is there twice, a row is short or long, or there are none;
-    or as in `read_rows`.
+    Args:
+        path: The file.
+        columns: Columns that must be there, in any order.
+        *perhaps: Columns that may be there besides, all or none of each group.
+        others: Whether any other columns may be there.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: It is empty, a column is missing, unknown or there twice, a row is short or long,
+            or there are none; or as in `read_rows`.
     """
     table = read_rows(path)
     _, names = next(table, (1, []))
     header = [name.strip() for name in names]
     if len(set(header)) != len(header) or not header:
         raise DataError(f"expected a header of distinct columns, got {header}", path, 1)
+    known = set(columns).union(*(group for group in perhaps if set(group) <= set(header)))
+    if not set(columns) <= set(header) or not (others or set(header) <= known):
+        expected = ", and perhaps ".join(map(", ".join, (columns, *perhaps)))
+        raise DataError(f"expected the columns {expected}, got {', '.join(header)}", path, 1)
     rows = []
     for line, fields in table:
         if len(fields) != len(header):
@@ -179,7 +193,7 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
         rows.append(Entry(dict(zip(header, fields, strict=True)), path, line))
     if not rows:
         raise DataError("expected at least one row, got none", path)
-    return header, rows
+    return rows
 
 
 def read_lines(path: Path) -> list[str]:

@@ -48,7 +48,7 @@ def splits(root: Path) -> list[str]:
 def read(root: Path, split: str) -> list[Record]:
     """Read the labeled images of a split, whose names and labels must align."""
     list_file, table_file = (split_file(root, "URSO", files, split) for files in (LISTS, TABLES))
-    names, rows = _read_names(list_file), _read_rows(table_file)
+    names, rows = _read_names(list_file), read_table(table_file, COLUMNS, others=True)
     if len(rows) != len(names):
         raise DataError(
             f"expected {len(names)} labels, one for each line of {list_file.name}, got {len(rows)}",
@@ -77,16 +77,9 @@ def _read_names(path: Path) -> list[str]:
     return names
 
 
-def _read_rows(path: Path) -> list[Entry]:
-    header, rows = read_table(path)
-    if not set(COLUMNS) <= set(header):
-        raise DataError(f"expected the columns {', '.join(COLUMNS)} once, got {header}", path, 1)
-    return rows
-
-
 def _check_alignment(names: list[str], rows: list[Entry], table: Path) -> None:
     """Check the labels of a split against ``gt.csv``, whose row N labels ``N_rgb.png``."""
-    whole = _read_rows(table)
+    whole = read_table(table, COLUMNS, others=True)
     for name, row in zip(names, rows, strict=True):
         number = index_of(name)
         if number is None:
