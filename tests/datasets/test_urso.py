@@ -200,7 +200,7 @@ CAMERA = {"width": 64, "height": 48, "fx": 32.0, "fy": 32.0, "cx": 32.0, "cy": 2
     ("text", "words"),
     [
         ("{", r"camera\.json:1: not JSON"),
-        ("[]", r"camera\.json: expected the keys width"),
+        ("[]", r"camera\.json:1: expected an object, got \[\]"),
         (json.dumps(CAMERA | {"k1": 0.1}), "expected the keys .*, and distortion .*; got 'k1' too"),
         (json.dumps(CAMERA).replace("cy", "Cy"), "expected the keys .*; got none of the name cy"),
         (json.dumps(CAMERA)[:-1] + ', "fx": 9}', "expected each key once, got 'fx' twice"),
@@ -208,14 +208,14 @@ CAMERA = {"width": 64, "height": 48, "fx": 32.0, "fy": 32.0, "cx": 32.0, "cy": 2
         (json.dumps(CAMERA | {"width": 64.5}), "width: expected a whole number, got 64.5"),
         (json.dumps(CAMERA | {"height": True}), "height: expected a whole number, got True"),
         (json.dumps(CAMERA | {"height": 2**53}), "height: expected less than 2⁵³, got 9007"),
-        (json.dumps(CAMERA | {"distortion": 0}), "distortion: expected five numbers, got 0"),
+        (json.dumps(CAMERA | {"distortion": 0}), "distortion: expected 5 numbers, got 0"),
         (
             json.dumps(CAMERA | {"distortion": [0.1, False, 0, 0, 0]}),
-            r"distortion: expected five numbers, got \[0\.1, False",
+            "distortion: expected a finite number, got False",
         ),
-        (json.dumps(CAMERA | {"fx": "32"}), "fx: expected a number, got '32'"),
+        (json.dumps(CAMERA | {"fx": "32"}), "fx: expected a finite number, got '32'"),
         (json.dumps(CAMERA | {"fx": -1.0}), "expected fx > 0"),
-        (json.dumps(CAMERA | {"fx": float("nan")}), "expected finite"),
+        (json.dumps(CAMERA | {"fx": float("nan")}), "fx: expected a finite number, got nan"),
     ],
 )
 def test_a_bad_camera_file_is_named(tmp_path, text, words):

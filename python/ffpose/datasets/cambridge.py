@@ -18,8 +18,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from ffpose._internal.entries import Entry
 from ffpose.datasets.parsing import (
-    Entry,
     Names,
     expect_set,
     expect_split,

@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ffpose._internal.entries import Entry
 from ffpose._internal.urso import CONDITIONS
-from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
+from ffpose.datasets.parsing import Names, expect_set, expect_split, find_image, read_table
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose, Target

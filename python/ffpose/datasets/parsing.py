@@ -1,97 +1,19 @@
-"""Parts of the readers: tables, lists in JSON, names and labels, with errors by file and line."""
+"""Parts of the readers: tables, lists in JSON and names, with errors by file and line."""
 
 from __future__ import annotations
 
 import csv
 import json
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, TypeVar
 
-from ffpose._internal.files import (
-    distinct_keys,
-    expect_folder,
-    json_errors,
-    read_json,
-    read_text,
-    shortened,
-)
+from ffpose._internal.entries import Entry
+from ffpose._internal.files import distinct_keys, expect_folder, json_errors, read_text, shortened
 from ffpose.errors import DataError, expect
-
-Made = TypeVar("Made")
 
 BETWEEN = re.compile(r"[\s,]*")
 """What stands between the members of a list in JSON."""
-
-
-class Entry(NamedTuple):
-    """A row of a table or a member of a list, and its line in the file.
-
-    Attributes:
-        values: The values by name: strings in a table, anything in JSON.
-        file: The file.
-        line: The line that it begins on, counted from one.
-    """
-
-    values: Mapping[str, Any]
-    file: Path
-    line: int
-
-    def error(self, message: str) -> DataError:
-        """Return an error that names file and line."""
-        return DataError(message, self.file, self.line)
-
-    def text(self, key: str) -> str:
-        """Return a value that must be a text of at least one character."""
-        value = self._value(key)
-        if not isinstance(value, str) or not value.strip():
-            raise self.error(f"{key}: expected a name, got {shortened(value)}")
-        return value.strip()
-
-    def number(self, key: str) -> float:
-        """Return a finite number."""
-        return self._finite(key, self._value(key))
-
-    def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        """Return a list of ``count`` finite numbers."""
-        value = self._value(key)
-        if not isinstance(value, list) or len(value) != count:
-            raise self.error(f"{key}: expected {count} numbers, got {shortened(value)}")
-        return tuple(self._finite(key, each) for each in value)
-
-    def parsed(self, keys: Sequence[str]) -> tuple[float, ...]:
-        """Return values that a table holds as text, which must be finite numbers."""
-        return tuple(map(self._parsed, keys))
-
-    def _parsed(self, key: str) -> float:
-        text = self._value(key)
-        try:
-            return self._finite(key, float(text))
-        except ValueError as error:
-            raise self.error(f"{key}: expected a finite number, got {shortened(text)}") from error
-
-    def _value(self, key: str) -> Any:
-        if key not in self.values:
-            raise self.error(f"expected the key {key}, got {', '.join(self.values) or 'none'}")
-        return self.values[key]
-
-    def _finite(self, key: str, value: object) -> float:
-        if type(value) in (int, float):
-            with suppress(OverflowError):  # an integer of hundreds of digits
-                number = float(value)  # type: ignore[arg-type]  # a number by then
-                if math.isfinite(number):
-                    return number
-        raise self.error(f"{key}: expected a finite number, got {shortened(value)}")
-
-    def made(self, kind: Callable[..., Made], *values: object) -> Made:
-        """Return what values make; what is wrong with them becomes an error of this entry."""
-        try:
-            return kind(*values)
-        except ValueError as error:
-            raise self.error(str(error)) from error
 
 
 class Names:
@@ -242,11 +164,3 @@ def _next_member(text: str, place: int) -> int:
     between = BETWEEN.match(text, place)
     assert between is not None  # it may be empty
     return between.end()
-
-
-def read_object(path: Path) -> Entry:
-    """Read a JSON file that holds one object, or raise a DataError."""
-    values = read_json(path)
-    if not isinstance(values, dict):
-        raise DataError(f"expected an object, got {shortened(values)}", path, 1)
-    return Entry(values, path, 1)

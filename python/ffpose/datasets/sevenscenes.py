@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ffpose.datasets.parsing import Entry, Names, existing_splits, read_lines, split_file
+from ffpose._internal.entries import Entry
+from ffpose.datasets.parsing import Names, existing_splits, read_lines, split_file
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, Target, camera_pose

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ffpose.datasets.parsing import Entry, Names, existing_splits, find_image, read_list, split_file
+from ffpose._internal.entries import Entry
+from ffpose.datasets.parsing import Names, existing_splits, find_image, read_list, split_file
 from ffpose.datasets.records import Record
 from ffpose.geometry import Camera, Pose, Target
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ffpose._internal.entries import Entry
 from ffpose._internal.urso import (
     COLUMNS,
     LISTS,
@@ -23,7 +24,6 @@ from ffpose._internal.urso import (
     index_of,
 )
 from ffpose.datasets.parsing import (
-    Entry,
     Names,
     existing_splits,
     read_lines,

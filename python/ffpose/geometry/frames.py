@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose._internal import urso
-from ffpose._internal.files import read_json, shortened, write_json
+from ffpose._internal.entries import read_object
+from ffpose._internal.files import shortened, write_json
 from ffpose.arrays import canonical_quaternion
-from ffpose.errors import DataError, expect
+from ffpose.errors import expect
 from ffpose.geometry.rotations import (
     FloatArray,
     real_array,
@@ -80,35 +81,17 @@ class Camera:
             DataError: The file is not JSON, lacks a key or has another or one twice, or the values
                 are not a valid camera, among them a width or height of 2⁵³ or more.
         """
-        values = read_json(Path(path))
+        entry = read_object(Path(path))
         names = [field.name for field in fields(Camera)]
         expected = f"expected the keys {', '.join(names)}, and distortion of a lens that has it"
-        if not isinstance(values, dict):
-            raise DataError(f"{expected}; got {shortened(values)}", path)
-        if missing := [name for name in names if name not in values]:
-            raise DataError(f"{expected}; got none of the name {', '.join(missing)}", path)
-        if unknown := [name for name in values if name not in (*names, "distortion")]:
-            raise DataError(f"{expected}; got {', '.join(map(shortened, unknown))} too", path)
-        for name in names:
-            value, whole = values[name], name in ("width", "height")
-            if whole and type(value) is float and value.is_integer():
-                value = values[name] = int(value)
-            if type(value) not in ((int,) if whole else (int, float)):
-                kind = "a whole number" if whole else "a number"
-                raise DataError(f"{name}: expected {kind}, got {shortened(value)}", path)
-            if whole and value >= 2**53:  # above, not every whole number is a float
-                raise DataError(f"{name}: expected less than 2⁵³, got {shortened(value)}", path)
-        lens = values.get("distortion", [])
-        if not isinstance(lens, list) or any(type(part) not in (int, float) for part in lens):
-            raise DataError(f"distortion: expected five numbers, got {shortened(lens)}", path)
-        try:
-            if "distortion" in values:
-                values["distortion"] = tuple(map(float, lens))
-            return DistortedCamera(**values) if "distortion" in values else Camera(**values)
-        except OverflowError as error:  # an integer of hundreds of digits
-            raise DataError(f"expected finite numbers: {error}", path) from error
-        except (TypeError, ValueError) as error:
-            raise DataError(str(error), path) from error
+        if missing := [name for name in names if name not in entry.values]:
+            raise entry.error(f"{expected}; got none of the name {', '.join(missing)}")
+        if unknown := [name for name in entry.values if name not in (*names, "distortion")]:
+            raise entry.error(f"{expected}; got {', '.join(map(shortened, unknown))} too")
+        values = *map(entry.whole, names[:2]), *map(entry.number, names[2:])
+        if "distortion" not in entry.values:
+            return entry.made(Camera, *values)
+        return entry.made(DistortedCamera, *values, entry.numbers("distortion", 5))
 
     def write(self, path: str | Path) -> None:
         """Write the camera as `read` takes it."""
