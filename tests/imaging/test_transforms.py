@@ -209,7 +209,7 @@ def test_a_turned_crop_is_seen_by_the_camera_of_the_center_crop(left, top, seed)
     image_camera = Camera(1280, 960, 640.0, 655.0, 600.0, 500.0)
     whole, view = preprocessing.frame_camera(image_camera), preprocessing.camera(image_camera)
     crop = preprocessing.window_camera(image_camera, Window(top, left))
-    rotation = crop_turn(whole, crop, view)
+    rotation = crop_turn(crop, view)
     pose = Pose([*generator.uniform(-1, 1, 2), 12], Rotation.random(rng=generator).as_quat())
     points = generator.uniform(-2, 2, (10, 3))
     label = torch.from_numpy(pose.vector).split([3, 4])
@@ -237,8 +237,8 @@ def test_a_turned_crop_is_seen_by_the_camera_of_the_center_crop(left, top, seed)
 
 def test_the_center_crop_turns_nothing():
     preprocessing = Preprocessing((192, 256), "center_crop")
-    whole, view = (f(URSO_CAMERA) for f in (preprocessing.frame_camera, preprocessing.camera))
-    np.testing.assert_allclose(crop_turn(whole, view, view), np.eye(3), atol=1e-15)
+    view = preprocessing.camera(URSO_CAMERA)
+    np.testing.assert_allclose(crop_turn(view, view), np.eye(3), atol=1e-15)
 
 
 def test_there_is_one_crop():

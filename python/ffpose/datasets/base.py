@@ -237,6 +237,6 @@ class PoseDataset(Dataset[Sample]):
             crop = preprocessing.window_camera(camera, window)
             if augmentation.turned_crop:
                 whole, image = preprocessing.frame_camera(camera), torch.from_numpy(planes(frame))
-                return turn_camera(image, *label, whole, crop_turn(whole, crop, view), view), view
+                return turn_camera(image, *label, whole, crop_turn(crop, view), view), view
             view = crop
         return (torch.from_numpy(preprocessing.crop(frame, window)), *label), view

@@ -165,7 +165,7 @@ class Preprocessing:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON can hold them; `from_dict` reads them back."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Preprocessing:
@@ -175,9 +175,7 @@ class Preprocessing:
             ValueError: A field is missing, unknown or not usable.
         """
         if set(fields) - {"interpolation"} != {"size", "mode", "mean", "std"}:
-            raise ValueError(
-                "preprocessing: expected size, mode, mean, std, interpolation, "
-                f"got {sorted(fields)}"
-            )
+            expected = "size, mode, mean, std, interpolation"
+            raise ValueError(f"preprocessing: expected {expected}, got {sorted(fields)}")
         size, mean, std = (tuple(fields[name]) for name in ("size", "mean", "std"))
         return cls(size, fields["mode"], mean, std, fields.get("interpolation", "bilinear"))
