@@ -49,13 +49,9 @@ class MappedFrames:
     def __reduce__(self) -> tuple[type[MappedFrames], tuple[Path]]:
         return MappedFrames, (self.path,)
 
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         """Return frame ``index``, ``(H, W, 3)``, read-only."""
-        frame: NDArray[np.uint8] = self._frames[index]
-        return frame
+        return np.asarray(self._frames[index])
 
 
 def cached_frames(records: Sequence[Record], preprocessing: Preprocessing) -> MappedFrames:

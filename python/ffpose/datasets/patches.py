@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from ffpose.datasets.base import PoseDataset
 from ffpose.datasets.cache import BUILD_LIMIT_S, cache_folder
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera
 from ffpose.imaging.images import decode_all, open_image
 from ffpose.imaging.patches import (
     Arrays,
@@ -60,7 +61,7 @@ def dataset_patches(
     def extract(index: int) -> Patches:
         record = records[index]
         frame = preprocessing.frame(dataset.load_image(index))
-        seen = read_coordinates(record, record.camera) if coordinates else None
+        seen = read_coordinates(record) if coordinates else None
         return extract_patches(frame, record.label, spec, seen)
 
     def pieces() -> Iterator[Patches]:
@@ -100,18 +101,18 @@ def _written(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera], Bytes]:
+def read_coordinates(record: Record) -> Callable[[Camera], Bytes]:
     """Return the object's coordinates of an image as any camera of the same view sees them.
 
     A DataError if there is no such file, or it is another picture.
     """
-    path = coordinates_file(record)
+    path, camera = coordinates_file(record), record.camera
     with open_image(path) as image:
         picture = np.asarray(image)
     expected = (camera.height, camera.width, 4)
     if picture.shape != expected or picture.dtype != np.uint8:
         raise DataError(f"expected 8-bit RGBA of {camera.width}x{camera.height} pixels", path)
-    return lambda _, window: nearest_pixels(picture, camera, window)
+    return partial(nearest_pixels, picture, camera)
 
 
 def cached_patches(
