@@ -15,10 +15,11 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,7 @@ def cached_patches(
     count: int,
     spec: PatchSpec,
     pieces: Callable[[], Iterable[Patches]],
-    begun: Arrays | None = None,
+    begun: Arrays = MappingProxyType({}),
 ) -> dict[str, NDArray[Any]]:
     """Return the patches in a folder; write them where it does not exist yet.
 
@@ -152,7 +153,7 @@ def digest(described: dict[str, Any]) -> str:
 
 
 def _store(
-    folder: Path, count: int, spec: PatchSpec, pieces: Iterable[Patches], begun: Arrays | None
+    folder: Path, count: int, spec: PatchSpec, pieces: Iterable[Patches], begun: Arrays
 ) -> None:
     """Write the patches to a temporary folder and rename it, so that all exist or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -170,8 +171,13 @@ def _store(
             for name, (shape, dtype) in spec.shapes(count).items()
         }
         _reserve(unfinished)
-        _fill(arrays, pieces, begun)
-        del arrays
+        for name, first in begun.items():
+            arrays[name][: len(first)] = first
+        for row, piece in enumerate(pieces, start=len(begun.get("labels", ()))):
+            piece.store(arrays, row)
+        for array in arrays.values():
+            array.flush()
+        del arrays, array
         try:
             unfinished.rename(folder)
         except OSError:
@@ -185,17 +191,3 @@ def _reserve(folder: Path) -> None:
         for path in folder.iterdir():
             with path.open("r+b") as file:
                 os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-
-
-def _fill(
-    arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterable[Patches], begun: Arrays | None
-) -> None:
-    first = 0
-    if begun is not None:
-        first = len(begun["labels"])
-        for name, array in arrays.items():
-            array[:first] = begun[name]
-    for row, piece in enumerate(pieces, start=first):
-        piece.store(arrays, row)
-    for array in arrays.values():
-        array.flush()

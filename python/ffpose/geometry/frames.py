@@ -61,9 +61,9 @@ class Camera:
         if not all(each >= 1 and float(each).is_integer() for each in size):
             got = f"{self.width}x{self.height}"
             raise ValueError(f"camera: expected a positive size in whole pixels, got {got}")
-        for name in ("width", "height", "fx", "fy", "cx", "cy"):  # NumPy's numbers are none of JSON
-            kind = int if name in ("width", "height") else float
-            object.__setattr__(self, name, kind(getattr(self, name)))
+        for field in fields(Camera):  # NumPy's numbers are none of JSON
+            kind = int if field.name in ("width", "height") else float
+            object.__setattr__(self, field.name, kind(getattr(self, field.name)))
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))):
             raise ValueError(f"camera: expected finite intrinsics, got {self}")
         if self.fx <= 0 or self.fy <= 0:
@@ -248,13 +248,13 @@ class PoseUncertainty:
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
         expect(0 <= self.in_view <= 1, "in_view", "a probability", self.in_view)
-        if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
-            got = self.in_view_threshold
-            raise ValueError(f"in_view_threshold: expected a probability, got {got}")
+        threshold = self.in_view_threshold
+        usable = threshold is None or 0 <= threshold <= 1
+        expect(usable, "in_view_threshold", "a probability", threshold)
         degrees = self.degrees_of_freedom or ()
         expect(all(n > 2 for n in degrees), "degrees_of_freedom", "above 2 each", degrees)
-        if not all(0 <= p <= 1 for p in self.probabilities):
-            raise ValueError(f"probabilities: expected in 0…1, got {self.probabilities}")
+        shares = self.probabilities
+        expect(all(0 <= p <= 1 for p in shares), "probabilities", "in 0…1", shares)
         if self.alternative is not None:
             q = canonical_quaternion(unit_quaternion(self.alternative))
             expect(q.shape == (4,), "alternative", "shape (4,)", q.shape)
