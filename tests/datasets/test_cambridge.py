@@ -107,6 +107,11 @@ def test_train_is_the_first_split(request, form):
         read(root, "val")
 
 
+def test_hidden_files_are_no_tables(csv_root):
+    (csv_root / "._labels.csv").write_bytes(b"\0what macOS leaves")
+    assert list_splits("cambridge", csv_root) == ["train", "test"]
+
+
 def test_turning_the_camera_is_refused(root):
     with pytest.raises(ValueError, match="labels that locate the camera"):
         read(root, augmentation=Augmentation(pan=5))

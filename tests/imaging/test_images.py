@@ -234,6 +234,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
 def test_a_folder_in_a_folder_of_images_is_none_whatever_its_name(tmp_path):
     (tmp_path / "a.png").mkdir()
     (tmp_path / "b.png").write_bytes(png(8, 0, 2, 2))
+    (tmp_path / "._b.png").write_bytes(b"what macOS leaves")
     assert find_images([tmp_path]) == [tmp_path / "b.png"]
 
 

@@ -24,6 +24,7 @@ from ffpose.datasets.parsing import (
     expect_set,
     expect_split,
     find_image,
+    find_tables,
     read_lines,
     read_table,
 )
@@ -86,7 +87,7 @@ def _text_entries(path: Path) -> Iterator[Entry]:
 
 
 def _csv_entries(root: Path) -> Iterator[Entry]:
-    paths = sorted(root.glob("*.csv"))
+    paths = find_tables(root)
     if not paths:
         names = ", ".join(TEXT_FILES.values())
         raise FileNotFoundError(

@@ -24,7 +24,14 @@ import numpy as np
 
 from ffpose._internal.entries import Entry
 from ffpose._internal.urso import CONDITIONS
-from ffpose.datasets.parsing import Names, expect_set, expect_split, find_image, read_table
+from ffpose.datasets.parsing import (
+    Names,
+    expect_set,
+    expect_split,
+    find_image,
+    find_tables,
+    read_table,
+)
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose, Target
@@ -40,9 +47,8 @@ FIRST = ("train", "val", "test")
 def splits(root: Path) -> list[str]:
     """Return the splits of the set: train, val, test, then others by name."""
     expect_set(root, "CSV")
-    tables = (path for path in root.glob("*.csv") if path.is_file() and path.name != CONDITIONS)
-    shown = (path for path in tables if not path.name.startswith("."))
-    found = sorted(path.stem for path in shown if not _has_keypoints(path))
+    tables = (path for path in find_tables(root) if path.name != CONDITIONS)
+    found = [path.stem for path in tables if not _has_keypoints(path)]
     if not found:
         raise FileNotFoundError(f"CSV set: expected a file such as train.csv in {root}, got none")
     return sorted(found, key=lambda split: FIRST.index(split) if split in FIRST else len(FIRST))

@@ -82,6 +82,12 @@ def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> P
     return path
 
 
+def find_tables(root: Path) -> list[Path]:
+    """Return the CSV files of a folder, sorted; hidden ones, as macOS leaves, are none."""
+    there = (path for path in root.glob("*.csv") if path.is_file())
+    return sorted(path for path in there if not path.name.startswith("."))
+
+
 def read_table(
     path: Path, columns: Sequence[str], *perhaps: Sequence[str], others: bool = False
 ) -> list[Entry]:

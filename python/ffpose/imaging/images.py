@@ -69,12 +69,14 @@ def check_white(name: str, white: float | str) -> None:
 
 
 def image_files(folder: Path, name: str) -> list[Path]:
-    """Return the PNG, JPEG and PGM files of a folder, at least one, sorted by name."""
+    """Return the PNG, JPEG and PGM files of a folder, at least one, sorted by name.
+
+    Hidden ones, as macOS leaves beside each file, are left out.
+    """
     if not folder.is_dir():
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
-    images = sorted(
-        path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.is_dir()
-    )
+    shown = (path for path in folder.iterdir() if not (path.is_dir() or path.name.startswith(".")))
+    images = sorted(path for path in shown if path.suffix.lower() in SUFFIXES)
     if not images:
         raise FileNotFoundError(f"{name}: expected PNG, JPEG or PGM files in {folder}, got none")
     return images
