@@ -15,14 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ffpose._internal.entries import Entry
-from ffpose._internal.urso import (
-    COLUMNS,
-    LISTS,
-    TABLE,
-    TABLES,
-    from_label,
-    index_of,
-)
+from ffpose._internal.urso import COLUMNS, LISTS, TABLE, TABLES, from_label, index_of
 from ffpose.datasets.parsing import (
     Names,
     existing_splits,

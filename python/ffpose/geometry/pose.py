@@ -164,16 +164,10 @@ class Pose:
     def from_urso(
         cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
     ) -> Pose:
-        """Build a pose from a row of URSO's labels, of a left-handed camera frame (y up).
+        """Build a pose from a row of URSO's labels, of a left-handed camera frame.
 
-        Args:
-            x: To the right, meters.
-            y: Up, meters.
-            z: Depth, meters.
-            q1: First of the vector part of URSO's quaternion, which is JPL's.
-            q2: Second of it.
-            q3: Third of it.
-            q4: Scalar part.
+        In meters ``x`` is to the right, ``y`` up and ``z`` the depth; the quaternion ``q1`` ...
+        ``q4`` is JPL's, its scalar last.
 
         Raises:
             ValueError: A number is not finite, or the quaternion's norm is not one.

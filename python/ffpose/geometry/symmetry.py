@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose._internal.cached import cached_property
 from ffpose._internal.files import read_json, shortened, write_json
@@ -101,14 +100,14 @@ class SymmetryGroup:
         """Rotations ``(F, 4)``, the identity first; times the turns about `_free` they are all."""
         found = np.array([[1.0, 0.0, 0.0, 0.0]])
         turns = np.concatenate([axis.turns[1:] for axis in self.axes if axis.fold] or [found])
-        grown = True
-        while grown:
+        before = 0
+        while before < len(found):
             before = len(found)
             for turn in turns:
                 new = multiply(found, turn)
-                found = np.concatenate([found, new[~_among(new, found)]])
+                there = (np.abs(new @ found.T) > ALIKE).any(axis=1)
+                found = np.concatenate([found, new[~there]])
                 expect(len(found) <= MOST, "axes", "those of a finite group", self)
-            grown = len(found) > before
         if self._free is None:
             return found
         along = rotation_matrix(found) @ self._free.unit @ self._free.unit
@@ -235,11 +234,6 @@ def _axis(value: Any) -> Axis:
         f'axes: expected {{"axis": [x, y, z], "fold": 2 to {MOST_FOLD} or "any"}}, '
         f"got {shortened(value)}"
     )
-
-
-def _among(new: FloatArray, found: FloatArray) -> NDArray[np.bool_]:
-    """Return which of unit quaternions ``(N, 4)`` are among others ``(M, 4)``, of either sign."""
-    return np.asarray((np.abs(new @ found.T) > ALIKE).any(axis=1))
 
 
 IDENTITY = SymmetryGroup()
