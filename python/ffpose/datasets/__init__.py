@@ -24,7 +24,6 @@ __all__ = [
     "Record",
     "Sample",
     "Target",
-    "find_target",
     "list_splits",
     "open_dataset",
     "read_conditions",
@@ -45,15 +44,6 @@ KINDS: dict[str, Reader] = {
 def _reader(kind: str) -> Reader:
     expect(kind in KINDS, "dataset kind", f"one of {sorted(KINDS)}", kind)
     return KINDS[kind]
-
-
-def find_target(kind: str) -> Target:
-    """Return what the labels of a kind of dataset locate.
-
-    Raises:
-        ValueError: ``kind`` is not in `KINDS`.
-    """
-    return _reader(kind).TARGET
 
 
 def list_splits(kind: str, root: str | Path) -> list[str]:
@@ -137,4 +127,4 @@ def open_dataset(
         DataError: A file is invalid, or the split has no labels; the error names file and line.
     """
     records = read_records(kind, root, split, decoding)
-    return PoseDataset(records, preprocessing, augmentation, cache, find_target(kind))
+    return PoseDataset(records, preprocessing, augmentation, cache)

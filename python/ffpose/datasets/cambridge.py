@@ -30,9 +30,7 @@ from ffpose.datasets.parsing import (
 )
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Target, camera_pose
-
-TARGET: Target = "camera"
+from ffpose.geometry import Camera, camera_pose
 
 CAMERA = Camera(width=1920, height=1080, fx=1674.0, fy=1674.0, cx=960.0, cy=540.0)
 """Camera of the photographs: the focal length that Brachmann and Rother (CVPR 2018) use, 744 pixels
@@ -104,4 +102,5 @@ def _record(root: Path, names: Names, entry: Entry, name: str, values: tuple[flo
         raise entry.error(f"quaternion: expected norm 1 within {NORM_TOLERANCE}, got {norm:.6g}")
     pose = camera_pose(values[:3], [value / norm for value in values[3:]])
     image = find_image(root, name, entry)
-    return Record(image, name, CAMERA, pose, entry.file, entry.line, (w, x, y, z))
+    raw = (w, x, y, z)
+    return Record(image, name, CAMERA, pose, entry.file, entry.line, raw, target="camera")

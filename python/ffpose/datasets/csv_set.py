@@ -34,10 +34,8 @@ from ffpose.datasets.parsing import (
 )
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose, Target
+from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose
 from ffpose.geometry.trajectory import Trajectory
-
-TARGET: Target = "object"
 
 KEYPOINT = ("name", "x", "y", "z")
 FIRST = ("train", "val", "test")

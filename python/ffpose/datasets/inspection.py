@@ -25,7 +25,6 @@ from ffpose.datasets import (
     Decoding,
     PoseDataset,
     Record,
-    find_target,
     list_splits,
     read_records,
 )
@@ -88,7 +87,7 @@ def inspect_folder(
         split: read_records(kind, root, split, decoding) for split in list_splits(kind, root)
     }
     datasets = {
-        split: PoseDataset(each, Preprocessing(), target=find_target(kind))
+        split: PoseDataset(each, Preprocessing())
         for split, each in records.items()
         if each[0].pose is not None
     }

@@ -19,10 +19,8 @@ from ffpose._internal.entries import Entry
 from ffpose.datasets.parsing import Names, existing_splits, read_lines, split_file
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose, Target, camera_pose
+from ffpose.geometry import Camera, Pose, camera_pose
 from ffpose.geometry.rotations import from_matrix
-
-TARGET: Target = "camera"
 
 CAMERA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
 """Nominal camera of the color images, which were not calibrated; only drawings depend on it."""
@@ -65,7 +63,8 @@ def _read_sequence(folder: Path, source: Path, line: int) -> list[Record]:
             if not path.is_file():
                 raise DataError(f"expected {path}, got no such file", source, line)
         name = f"{folder.name}/{image.name}"
-        records.append(Record(image, name, CAMERA, read_pose(label), label, 1))
+        pose = read_pose(label)
+        records.append(Record(image, name, CAMERA, pose, label, 1, target="camera"))
     return records
 
 

@@ -20,9 +20,8 @@ from ffpose._internal.files import shortened
 from ffpose.datasets.parsing import existing_splits, split_file
 from ffpose.datasets.records import Record
 from ffpose.datasets.speed import read_images
-from ffpose.geometry import DistortedCamera, Target
+from ffpose.geometry import DistortedCamera
 
-TARGET: Target = "object"
 FILES = {
     "train": "synthetic/train.json",
     "val": "synthetic/validation.json",

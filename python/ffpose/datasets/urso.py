@@ -25,9 +25,7 @@ from ffpose.datasets.parsing import (
 )
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import URSO_CAMERA, Pose, Target
-
-TARGET: Target = "object"
+from ffpose.geometry import URSO_CAMERA, Pose
 
 _SAME_LABEL = 1e-5
 """Tolerance between labels in two files, which may print different numbers of digits."""
