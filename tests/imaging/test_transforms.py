@@ -415,6 +415,12 @@ def linear(values):
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
+def test_a_blur_wider_than_the_image_leaves_its_mean_light():
+    blurred = _blur(IMAGE, 200.0)
+    assert blurred.std() < 0.1 * IMAGE.std()
+    torch.testing.assert_close(blurred.mean(), IMAGE.mean(), rtol=0.02, atol=0)
+
+
 @pytest.mark.parametrize("value", [0.05, 0.2, 0.5, 0.8])
 def test_sensor_noise_has_the_variance_of_its_light(value):
     torch.manual_seed(0)

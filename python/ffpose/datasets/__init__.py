@@ -47,11 +47,7 @@ def _reader(kind: str) -> Reader:
 
 
 def list_splits(kind: str, root: str | Path) -> list[str]:
-    """Return the splits of a dataset, those for training first.
-
-    Args:
-        kind: One of `KINDS`.
-        root: The dataset's folder.
+    """Return the splits of a dataset of one of `KINDS`, those for training first.
 
     Raises:
         ValueError: ``kind`` is not in `KINDS`.

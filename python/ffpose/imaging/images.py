@@ -124,9 +124,7 @@ def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: The file is not an intact image, or too large (`MAX_PIXELS`), or its mode is not
-            in `MODES`, or it has more than 8 bits per channel. A PNG file that lacks rows is not
-            intact.
+        DataError: As `open_image` and `to_rgb`.
     """
     with open_image(path) as image:
         return to_rgb(image, path, white if image.mode in DEEP_MODES else None)

@@ -255,7 +255,7 @@ def _blur(image: Tensor, sigma: float) -> Tensor:
     """
     if sigma < 0.1:
         return image
-    reach = math.ceil(3 * sigma)
+    reach = min(math.ceil(3 * sigma), min(image.shape[1:]) - 1)  # what is left to reflect
     taps = [math.exp(-0.5 * (step / sigma) ** 2) for step in range(-reach, reach + 1)]
     for axis, margins in ((1, (0, 0, reach, reach)), (2, (reach, reach, 0, 0))):
         padded = torch.nn.functional.pad(image, margins, mode="reflect")
