@@ -123,14 +123,10 @@ def cached_patches(
     pieces: Callable[[], Iterable[Patches]],
     begun: Arrays = MappingProxyType({}),
 ) -> dict[str, NDArray[Any]]:
-    """Return the patches in a folder; write them where it does not exist yet.
+    """Return the patches of ``count`` images in a folder; write them where it does not exist yet.
 
-    Args:
-        folder: The folder, named by all that the patches depend on.
-        count: Number of images.
-        spec: Geometry of the two patches.
-        pieces: Function that yields the patches in order.
-        begun: Patches of the first images, which are copied; ``pieces`` yields those of the others.
+    The folder is named by all that they depend on. ``pieces`` yields them in order, but for those
+    of the first images in ``begun``, which are copied.
     """
     if not folder.exists():
         _store(folder, count, spec, pieces(), begun)

@@ -48,31 +48,20 @@ def random_window(preprocessing: Preprocessing, frame_size: tuple[int, int]) -> 
 def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
     """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, the scene's rotation in a rotating camera's frame.
 
-    Args:
-        pan: Angle about the camera's y axis, degrees; positive moves the scene to the right.
-        tilt: Angle about x, degrees; positive moves the scene up.
-        roll: Angle about z, the boresight, degrees; positive turns right to down.
-
-    Returns:
-        ``(3, 3)`` rotation matrix; a point p of the camera frame becomes ``rotation @ p``.
+    A point p of the camera frame becomes ``rotation @ p``. The angles are in degrees: a positive
+    ``pan`` moves the scene to the right, ``tilt`` up, and ``roll`` turns right to down.
     """
     about_x, about_y, about_z = np.diag(np.radians([tilt, pan, roll]))
     return rotation_matrix(reduce(multiply, map(from_rotation_vector, (about_z, about_x, about_y))))
 
 
 def crop_turn(crop: Camera, view: Camera) -> FloatArray:
-    """Return the rotation of the camera that a crop stands for.
+    """Return the rotation ``(3, 3)`` of the camera that a crop stands for, the least one.
 
     A crop is seen by a camera with another principal point, which a network for one camera cannot
     know. The camera that turns, so that the ray through the crop's center takes the place of the
     ray through the view's, shows about the same part of the image with the intrinsics of the view.
-
-    Args:
-        crop: Camera of the crop (`Camera.cropped`), without distortion.
-        view: Camera of the network's input, of the crop's size.
-
-    Returns:
-        ``(3, 3)``, the least rotation, for `turn_camera`.
+    Neither has distortion, and ``view``, of the network's input, has the crop's size.
     """
     rays = (np.linalg.inv(c.matrix) @ (c.width / 2, c.height / 2, 1) for c in (crop, view))
     return shortest_turn(*(ray / np.linalg.norm(ray) for ray in rays))
@@ -199,16 +188,9 @@ class Augmentation:
     def __call__(
         self, image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Augment an image, and transform its label where the camera rotates.
+        """Augment an image in [0, 1], and transform its label where the camera rotates.
 
-        Args:
-            image: ``(3, h, w)`` in [0, 1].
-            translation: ``(3,)``, meters.
-            orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
-            camera: The camera of this image; its size is the image's.
-
-        Returns:
-            Image in [0, 1], translation and orientation, of the same shapes.
+        Arguments and what is returned are as of `turn_camera`.
         """
         rotation = self._draw_turn(translation, camera)
         if rotation is not None:
