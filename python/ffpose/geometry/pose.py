@@ -173,6 +173,7 @@ class Pose:
             ValueError: A number is not finite, or the quaternion's norm is not one.
 
         Examples:
+            >>> from ffpose.geometry import URSO_CAMERA
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
             >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
             [768.0, 415.95]
