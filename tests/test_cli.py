@@ -531,7 +531,7 @@ def test_a_broken_image_is_one_line_whoever_reads_it(workers, tmp_path, capsys):
     assert "Traceback" not in last
 
 
-POSE = ("torch", "torchvision", "torchmetrics", "timm", "roma", "safetensors", "matplotlib")
+POSE = ("torch", "torchvision", "torchmetrics", "timm", "safetensors", "matplotlib")
 BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex", "trimesh")
 
 

@@ -67,7 +67,7 @@ def spectral_filter(
         >>> bool(np.allclose(spectral_filter(x, weight), x))
         True
     """
-    x, weight = _array(x, "x"), _array(weight, "weight")
+    x, weight = _arrays(x=x, weight=weight)
     if weight.dtype.kind == "c":
         raise TypeError(
             "weight must have real and imaginary part in a last axis, as"
@@ -190,7 +190,7 @@ def translation_error(t_hat: ArrayLike, t: ArrayLike) -> RealArray:
         >>> translation_error([[3.0, 0.0, 14.0]], [[0.0, 0.0, 10.0]])
         array([5.])
     """
-    return _rust.translation_error(_array(t_hat, "t_hat"), _array(t, "t"))
+    return _rust.translation_error(*_arrays(t_hat=t_hat, t=t))
 
 
 def rotation_error(q_hat: ArrayLike, q: ArrayLike) -> RealArray:
@@ -215,7 +215,7 @@ def rotation_error(q_hat: ArrayLike, q: ArrayLike) -> RealArray:
         >>> rotation_error([[-1.0, 0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0, 0.0]]).round(9)
         array([90.])
     """
-    return _rust.rotation_error(_array(q_hat, "q_hat"), _array(q, "q"))
+    return _rust.rotation_error(*_arrays(q_hat=q_hat, q=q))
 
 
 def esa_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RealArray:
@@ -243,7 +243,7 @@ def esa_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) ->
         >>> esa_score([[3.0, 0.0, 14.0]], q, [[0.0, 0.0, 10.0]], q)
         array([0.5])
     """
-    return _rust.esa_score(*_pose_arrays(t_hat, q_hat, t, q))
+    return _rust.esa_score(*_arrays(t_hat=t_hat, q_hat=q_hat, t=t, q=q))
 
 
 def speed_plus_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RealArray:
@@ -258,7 +258,7 @@ def speed_plus_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayL
         >>> speed_plus_score([[0.0, 0.0, 10.01]], q, [[0.0, 0.0, 10.0]], q)
         array([0.])
     """
-    return _rust.speed_plus_score(*_pose_arrays(t_hat, q_hat, t, q))
+    return _rust.speed_plus_score(*_arrays(t_hat=t_hat, q_hat=q_hat, t=t, q=q))
 
 
 def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
@@ -272,7 +272,7 @@ def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
         points: Points ``(3, N)``; the lattice points of the first octave are 1 apart.
         heights: Amplitudes of the octaves, ``(K,)``.
     """
-    return _rust.fractal_noise(_array(points, "points"), _array(heights, "heights"))
+    return _rust.fractal_noise(*_arrays(points=points, heights=heights))
 
 
 def sample_texture(
@@ -314,10 +314,7 @@ def sample_texture(
         wrap,
         places.reshape(-1, 6),
         _bits(means, "means"),
-        _array(face, "face"),
-        _array(weights, "weights"),
-        _array(levels, "levels"),
-        _array(shares, "shares"),
+        *_arrays(face=face, weights=weights, levels=levels, shares=shares),
     )
 
 
@@ -367,10 +364,8 @@ def has_vnni() -> bool:
     return _rust.has_vnni()
 
 
-def _pose_arrays(
-    t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    return _array(t_hat, "t_hat"), _array(q_hat, "q_hat"), _array(t, "t"), _array(q, "q")
+def _arrays(**values: ArrayLike) -> list[NDArray[Any]]:
+    return [_array(each, name) for name, each in values.items()]
 
 
 def _array(values: ArrayLike, name: str) -> NDArray[Any]:

@@ -47,7 +47,6 @@ POSE_PACKAGES = (
     "torchvision",
     "torchmetrics",
     "timm",
-    "roma",
     "safetensors",
     "matplotlib",
 )

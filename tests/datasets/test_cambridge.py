@@ -107,6 +107,11 @@ def test_train_is_the_first_split(request, form):
         read(root, "val")
 
 
+def test_hidden_files_are_no_tables(csv_root):
+    (csv_root / "._labels.csv").write_bytes(b"\0what macOS leaves")
+    assert list_splits("cambridge", csv_root) == ["train", "test"]
+
+
 def test_turning_the_camera_is_refused(root):
     with pytest.raises(ValueError, match="labels that locate the camera"):
         read(root, augmentation=Augmentation(pan=5))
@@ -122,7 +127,7 @@ LINE = "seq1/frame00001.png 10.0 -20.0 2.0 0.7353910525 0.7353910525 0.0 0.0"
         (HEADER, "", r":2: expected 'ImageFile, Camera Position"),
         (LINE, LINE + " 1", r":5: expected image X Y Z W P Q R, got"),
         (LINE, LINE[:-4], r":5: expected image X Y Z W P Q R, got"),
-        (LINE, "", r":5: expected image X Y Z W P Q R, got ''"),
+        (LINE, f"\n{LINE}", r":5: expected image X Y Z W P Q R, got ''"),
         ("-20.0", "nan", r":5: Y: expected a finite number, got 'nan'"),
         ("-20.0", "east", r":5: Y: expected a finite number, got 'east'"),
         ("-1.0 0.0", "0.0 0.0", r":4: quaternion: expected norm 1 within 0\.05, got 0"),
@@ -139,6 +144,12 @@ def test_a_broken_list_is_named_by_file_and_line(root, old, new, words):
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(DataError, match=r"dataset_train\.txt" + words):
         read(root)
+
+
+def test_blank_lines_may_end_a_list(root):
+    path = root / "dataset_train.txt"
+    path.write_text(path.read_text() + "\n \n")
+    assert read(root).names == list(ROWS)
 
 
 @pytest.mark.parametrize(

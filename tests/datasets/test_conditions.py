@@ -31,6 +31,11 @@ def test_columns_stand_in_any_order(tmp_path):
     assert [column[0] for column in found] == [0, 7, 1, 0.5]
 
 
+def test_names_may_have_spaces_around_them(tmp_path):
+    write(tmp_path, HEADER, f" {ROWS[0]}", ROWS[1].replace(",", " ,", 1))
+    assert read_conditions(tmp_path, ["0_rgb.png", "1_rgb.png"]).eclipsed.tolist() == [False, True]
+
+
 def test_a_set_without_the_file_says_nothing(tmp_path):
     assert read_conditions(tmp_path, ["0_rgb.png"]) is None
 

@@ -21,7 +21,7 @@ def test_points_come_in_the_order_of_the_rows_whatever_that_of_the_columns(tmp_p
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["name,x,y"], "expected at least one row"),
+        (["name,x,y,z"], "expected at least one row"),
         (["name,x,y", "tip,1,2"], r":1: expected the columns name, x, y, z, got name, x, y"),
         (["name,x,y,z", "tip,1,2,3", "tip,1,2,3"], ":3: tip is on line 2 already"),
         (["name,x,y,z", "tip,1,2,nan"], ":2: z: expected a finite number, got 'nan'"),

@@ -4,8 +4,9 @@ import json
 
 import pytest
 
+from ffpose._internal.entries import read_object
 from ffpose.datasets import read_conditions, read_records
-from ffpose.datasets.parsing import read_list, read_object, read_rows, read_table
+from ffpose.datasets.parsing import read_list, read_rows, read_table
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 
@@ -51,17 +52,46 @@ def test_a_camera_that_no_float_holds_is_named(tmp_path, name):
     wrong = [0, int(LARGE), 0, 0, 0] if name == "distortion" else int(LARGE)
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(values | {name: wrong}))
-    with pytest.raises(DataError, match=r"camera\.json: .*expected (finite|real) numbers"):
+    with pytest.raises(DataError, match=rf"camera\.json:1: {name}: expected a finite number"):
         Camera.read(path)
 
 
 def test_blank_lines_may_end_a_table_and_not_interrupt_it(tmp_path):
     path = tmp_path / "train.csv"
     path.write_text("image,tx\r\na.png,1\r\n\r\n  \n")
-    assert [entry.values for entry in read_table(path)[1]] == [{"image": "a.png", "tx": "1"}]
+    (entry,) = read_table(path, ("image", "tx"))
+    assert entry.values == {"image": "a.png", "tx": "1"}
     path.write_text("image,tx\n\na.png,1\n")
     with pytest.raises(DataError, match=r"train\.csv:2: expected 2 fields, got 0"):
-        read_table(path)
+        read_table(path, ("image", "tx"))
+
+
+@pytest.mark.parametrize(
+    ("header", "others", "accepted"),
+    [
+        ("b,a", False, True),
+        ("a,b,d,c", False, True),  # a group is there, or is not
+        ("a,b,c", False, False),
+        ("a,b,e", False, True),
+        ("a,c,d", False, False),
+        ("a,b,f", False, False),
+        ("a,b,f", True, True),
+        ("a,f", True, False),
+    ],
+)
+def test_columns_stand_in_any_order_and_groups_of_them_may_be_missing(
+    tmp_path, header, others, accepted
+):
+    path = tmp_path / "train.csv"
+    path.write_text(f"{header}\n{header}\n")
+    if accepted:
+        (entry,) = read_table(path, ("a", "b"), ("c", "d"), ("e",), others=others)
+        assert entry.values == {name: name for name in header.split(",")}
+        return
+    with pytest.raises(
+        DataError, match=r"\.csv:1: expected the columns a, b, and perhaps c, d, and"
+    ):
+        read_table(path, ("a", "b"), ("c", "d"), ("e",), others=others)
 
 
 def test_a_long_value_is_not_repeated_whole(tmp_path):
@@ -86,7 +116,7 @@ def test_a_row_that_is_no_csv_is_named_by_its_line(tmp_path, case):
     path = tmp_path / "train.csv"
     path.write_text("image,tx\n" + text)
     with pytest.raises(DataError, match=rf"train\.csv:{line}: expected a row of CSV in one line"):
-        read_table(path)
+        read_table(path, ("image", "tx"))
 
 
 def test_quoted_fields_are_read_without_their_quotes(tmp_path):

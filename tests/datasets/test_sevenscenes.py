@@ -66,7 +66,7 @@ def test_sequences_are_those_of_the_split_in_its_order(root):
     ("text", "words"),
     [
         ("seq-01\n", r":1: expected a line such as sequence1, got 'seq-01'"),
-        ("sequence3\n\n", r":2: expected a line such as sequence1, got ''"),
+        ("sequence3\n\nsequence1\n", r":2: expected a line such as sequence1, got ''"),
         ("sequence1\nsequence1\n", r":2: seq-01 is on line 1 already"),
         ("sequence1\nsequence7\n", r":2: expected frames in .*seq-07, got none"),
         ("", r": expected at least one sequence"),
@@ -76,6 +76,12 @@ def test_a_broken_split_is_named_by_file_and_line(root, text, words):
     (root / "TrainSplit.txt").write_text(text)
     with pytest.raises(DataError, match=r"TrainSplit\.txt" + words):
         read(root)
+
+
+def test_blank_lines_may_end_a_split(root):
+    names = read(root).names
+    (root / "TrainSplit.txt").write_text("sequence3\nsequence1\n\n \t\n")
+    assert read(root).names == names
 
 
 @pytest.mark.parametrize("suffix", ["color.png", "pose.txt"])

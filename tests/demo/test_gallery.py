@@ -19,7 +19,7 @@ pytest.importorskip("onnxruntime")
 
 WITHOUT_TORCH = """
 import sys
-for name in ("torch", "torchvision", "torchmetrics", "timm", "safetensors", "roma", "matplotlib"):
+for name in ("torch", "torchvision", "torchmetrics", "timm", "safetensors", "matplotlib"):
     sys.modules[name] = None
 from pathlib import Path
 from ffpose.demo.gallery import run

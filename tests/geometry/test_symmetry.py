@@ -72,7 +72,7 @@ def test_axes_that_go_not_together_are_refused(axes, message):
         group(*axes)
 
 
-@pytest.mark.parametrize("axes", [[(X, 2), (Y, 2)], [(Z, 4), (X, 4)], [(Z, 0)]])
+@pytest.mark.parametrize("axes", [[(X, 2), (Y, 2)], [(Z, 4), (X, 4)]])
 def test_the_nearest_attitude_of_one_look_is_found_by_trying_all(axes):
     symmetry, q_hat, q = group(*axes), quaternions(20), quaternions(20, 1)
     found = symmetry.nearest(q_hat, q)
@@ -83,6 +83,37 @@ def test_the_nearest_attitude_of_one_look_is_found_by_trying_all(axes):
         assert angles(q_hat[n : n + 1], found[n : n + 1])[0, 0] == pytest.approx(each.min())
     nearest = symmetry.nearest(q_hat, found)  # it is the nearest of its own look
     assert np.diagonal(angles(nearest, found)).max() < 1e-5
+
+
+@pytest.mark.parametrize("flip", [[], [((0.8, 0.0, -0.6), 2)]])
+def test_errors_modulo_any_angle_are_those_of_a_fine_search(flip):
+    """Of a hundredth of a degree; of a turn of the object itself about the axis nothing is left."""
+    axis = np.array([0.6, 0.0, 0.8])
+    symmetry, q_hat, q = group((axis.tolist(), 0), *flip), quaternions(12), quaternions(12, 1)
+    found = symmetry.nearest(3 * q_hat, q)  # of any norm
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-14)
+    error = np.diagonal(angles(q_hat, found))
+    turns = Rotation.from_rotvec(np.radians(np.arange(0, 360, 0.01))[:, None] * axis)
+    flips = [Rotation.identity(), *(Rotation.from_rotvec(np.pi * np.array(d)) for d, _ in flip)]
+    one = Rotation.from_quat(q, scalar_first=True)
+    for n in range(len(q)):
+        orbit = Rotation.concatenate([one[n] * each * turns for each in flips])
+        least = angles(q_hat[n : n + 1], orbit.as_quat(scalar_first=True)).min()
+        assert error[n] <= least + 1e-9
+        assert error[n] == pytest.approx(least, abs=0.01)
+        assert angles(found[n : n + 1], orbit.as_quat(scalar_first=True)).min() < 0.006
+        turned = (one[n] * flips[-1] * turns[12_345 + n]).as_quat(scalar_first=True)[None]
+        assert angles(turned, symmetry.nearest(turned, q[n : n + 1]))[0, 0] < 1e-6
+
+
+def test_turns_are_the_groups_own_within_a_degree():
+    symmetry = group((Z, 0), (X, 2))
+    turns = Rotation.from_rotvec(
+        [[0, 0, 0.0123], [0, 0, 3], [np.pi, 0, 0], [0.9 * np.pi / 180, 0, 0]]
+    )
+    assert symmetry.has(turns.as_quat(scalar_first=True))
+    away = Rotation.from_rotvec([[1.1 * np.pi / 180, 0, 0]])
+    assert not symmetry.has(away.as_quat(scalar_first=True))
 
 
 def test_without_symmetry_nothing_changes():

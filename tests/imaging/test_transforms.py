@@ -209,7 +209,7 @@ def test_a_turned_crop_is_seen_by_the_camera_of_the_center_crop(left, top, seed)
     image_camera = Camera(1280, 960, 640.0, 655.0, 600.0, 500.0)
     whole, view = preprocessing.frame_camera(image_camera), preprocessing.camera(image_camera)
     crop = preprocessing.window_camera(image_camera, Window(top, left))
-    rotation = crop_turn(whole, crop, view)
+    rotation = crop_turn(crop, view)
     pose = Pose([*generator.uniform(-1, 1, 2), 12], Rotation.random(rng=generator).as_quat())
     points = generator.uniform(-2, 2, (10, 3))
     label = torch.from_numpy(pose.vector).split([3, 4])
@@ -237,8 +237,8 @@ def test_a_turned_crop_is_seen_by_the_camera_of_the_center_crop(left, top, seed)
 
 def test_the_center_crop_turns_nothing():
     preprocessing = Preprocessing((192, 256), "center_crop")
-    whole, view = (f(URSO_CAMERA) for f in (preprocessing.frame_camera, preprocessing.camera))
-    np.testing.assert_allclose(crop_turn(whole, view, view), np.eye(3), atol=1e-15)
+    view = preprocessing.camera(URSO_CAMERA)
+    np.testing.assert_allclose(crop_turn(view, view), np.eye(3), atol=1e-15)
 
 
 def test_there_is_one_crop():
@@ -413,6 +413,12 @@ def test_a_blur_is_torchvisions(sigma):
 def linear(values):
     """The light that sRGB values stand for (IEC 61966-2-1)."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def test_a_blur_wider_than_the_image_leaves_its_mean_light():
+    blurred = _blur(IMAGE, 200.0)
+    assert blurred.std() < 0.1 * IMAGE.std()
+    torch.testing.assert_close(blurred.mean(), IMAGE.mean(), rtol=0.02, atol=0)
 
 
 @pytest.mark.parametrize("value", [0.05, 0.2, 0.5, 0.8])

@@ -328,7 +328,7 @@ def test_predict_takes_graph_and_weights_alike(files, picture, tmp_path, capsys)
 WITHOUT_TORCH = """
 import sys
 
-for name in ("torch", "torchvision", "timm", "roma", "safetensors"):
+for name in ("torch", "torchvision", "timm", "safetensors"):
     sys.modules[name] = None  # its import is an error
 
 import ffpose

@@ -52,7 +52,7 @@ def test_its_poses_are_those_of_torch(name):
 
 WITHOUT_TORCH = """
 import sys
-for name in ("torch", "torchvision", "timm", "safetensors", "roma", "matplotlib"):
+for name in ("torch", "torchvision", "timm", "safetensors", "matplotlib"):
     sys.modules[name] = None
 import ffpose
 print(*ffpose.load("soyuz")(sys.argv[1]).vector)

@@ -1,6 +1,7 @@
 """Augmented views: wherever the pixels go, the labels go with them."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -119,7 +120,8 @@ def stored(poses, image_of, coordinates=None):
         name: np.zeros(shape, dtype) for name, (shape, dtype) in spec.shapes(len(poses)).items()
     }
     for index, pose in enumerate(poses):
-        extract_patches(image_of(pose), pose, spec, coordinates).store(arrays, index)
+        seen = None if coordinates is None else partial(coordinates, pose)
+        extract_patches(image_of(pose), pose, spec, seen).store(arrays, index)
     return arrays
 
 

@@ -24,7 +24,6 @@ __all__ = [
     "Record",
     "Sample",
     "Target",
-    "find_target",
     "list_splits",
     "open_dataset",
     "read_conditions",
@@ -47,21 +46,8 @@ def _reader(kind: str) -> Reader:
     return KINDS[kind]
 
 
-def find_target(kind: str) -> Target:
-    """Return what the labels of a kind of dataset locate.
-
-    Raises:
-        ValueError: ``kind`` is not in `KINDS`.
-    """
-    return _reader(kind).TARGET
-
-
 def list_splits(kind: str, root: str | Path) -> list[str]:
-    """Return the splits of a dataset, those for training first.
-
-    Args:
-        kind: One of `KINDS`.
-        root: The dataset's folder.
+    """Return the splits of a dataset of one of `KINDS`, those for training first.
 
     Raises:
         ValueError: ``kind`` is not in `KINDS`.
@@ -137,4 +123,4 @@ def open_dataset(
         DataError: A file is invalid, or the split has no labels; the error names file and line.
     """
     records = read_records(kind, root, split, decoding)
-    return PoseDataset(records, preprocessing, augmentation, cache, find_target(kind))
+    return PoseDataset(records, preprocessing, augmentation, cache)

@@ -24,13 +24,7 @@ Part = str
 
 
 class Reader(Protocol):
-    """Interface of the module that reads one kind of dataset.
-
-    Attributes:
-        TARGET: What the labels of its sets locate.
-    """
-
-    TARGET: Target
+    """Interface of the module that reads one kind of dataset."""
 
     def splits(self, root: Path) -> list[str]:
         """Return the splits that the folder contains.
@@ -89,7 +83,6 @@ class PoseDataset(Dataset[Sample]):
         cache: Decode and resize every image now, on all cores, into one uint8 file (3 bytes per
             pixel of a frame: 150 kB for 224 x 224), so that epochs decode nothing. DataLoader
             workers, forked or spawned, and later runs map this file (`ffpose.datasets.cache`).
-        target: What the labels locate.
 
     Attributes:
         records: The labeled images.
@@ -115,7 +108,6 @@ class PoseDataset(Dataset[Sample]):
         preprocessing: Preprocessing,
         augmentation: Augmentation | None = None,
         cache: bool = False,
-        target: Target = "object",
     ) -> None:
         if not records:
             raise ValueError("dataset: expected at least one record, got none")
@@ -125,7 +117,7 @@ class PoseDataset(Dataset[Sample]):
                 f"augmentation: {crop} expects preprocessing of mode 'center_crop', "
                 f"got {preprocessing.mode!r}"
             )
-        self.records, self.target = tuple(records), target
+        self.records, self.target = tuple(records), records[0].target
         cameras = {record.camera for record in records}
         self.camera = cameras.pop() if len(cameras) == 1 else None
         if augmentation and augmentation.turns:
@@ -237,6 +229,6 @@ class PoseDataset(Dataset[Sample]):
             crop = preprocessing.window_camera(camera, window)
             if augmentation.turned_crop:
                 whole, image = preprocessing.frame_camera(camera), torch.from_numpy(planes(frame))
-                return turn_camera(image, *label, whole, crop_turn(whole, crop, view), view), view
+                return turn_camera(image, *label, whole, crop_turn(crop, view), view), view
             view = crop
         return (torch.from_numpy(preprocessing.crop(frame, window)), *label), view

@@ -2,8 +2,8 @@
 
 The file is a `.npy` array in ``$FFPOSE_CACHE``, or in ``~/.cache/ffpose``; everything there may be
 deleted at any time. Its name is the SHA-256 of a key: path, size and modification time of each
-image in order, the size that it must have, how it is undistorted and scaled, size and interpolation
-of the frames, and the version of Pillow, which decodes and resizes. The key leaves out the images'
+image in order, the size that it must have, how it is undistorted and scaled, how the frames are
+made of it, and the version of Pillow, which decodes and resizes. The key leaves out the images'
 contents, because reading 6 GB (5,000 images of 1280x960) at each start would take a minute from a
 disk of 100 MB/s, and writing an image changes its modification time, which has a resolution of
 nanoseconds. The cost is that a set that was moved or copied is decoded again.
@@ -49,13 +49,9 @@ class MappedFrames:
     def __reduce__(self) -> tuple[type[MappedFrames], tuple[Path]]:
         return MappedFrames, (self.path,)
 
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         """Return frame ``index``, ``(H, W, 3)``, read-only."""
-        frame: NDArray[np.uint8] = self._frames[index]
-        return frame
+        return np.asarray(self._frames[index])
 
 
 def cached_frames(records: Sequence[Record], preprocessing: Preprocessing) -> MappedFrames:
@@ -74,7 +70,7 @@ def cached_frames(records: Sequence[Record], preprocessing: Preprocessing) -> Ma
     if len(sizes) > 1:
         raise ValueError(f"cache: expected frames of one size, got {sorted(sizes)}")
     shape = (len(records), *sizes.pop(), 3)
-    name = _name(records, shape, preprocessing.interpolation)
+    name = _name(records, shape, preprocessing)
     path = cache_folder() / f"{name}.npy"
     if not _is_whole(path, shape):
         _write(path, shape, lambda index: preprocessing.frame(records[index].decode()))
@@ -87,8 +83,9 @@ def cache_folder() -> Path:
     return Path(named) if named else Path.home() / ".cache" / "ffpose"
 
 
-def _name(records: Sequence[Record], shape: tuple[int, ...], interpolation: str) -> str:
-    digest = hashlib.sha256(repr((FORMAT, PIL.__version__, shape, interpolation)).encode())
+def _name(records: Sequence[Record], shape: tuple[int, ...], preprocessing: Preprocessing) -> str:
+    made = {k: v for k, v in preprocessing.to_dict().items() if k not in ("mean", "std")}
+    digest = hashlib.sha256(repr((FORMAT, PIL.__version__, shape, made)).encode())
     for record in records:
         digest.update(repr(record.fingerprint()).encode())
     return digest.hexdigest()

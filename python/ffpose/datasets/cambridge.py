@@ -18,13 +18,19 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from ffpose._internal.files import read_text
-from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
+from ffpose._internal.entries import Entry
+from ffpose.datasets.parsing import (
+    Names,
+    expect_set,
+    expect_split,
+    find_image,
+    find_tables,
+    read_lines,
+    read_table,
+)
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Target, camera_pose
-
-TARGET: Target = "camera"
+from ffpose.geometry import Camera, camera_pose
 
 CAMERA = Camera(width=1920, height=1080, fx=1674.0, fy=1674.0, cx=960.0, cy=540.0)
 """Camera of the photographs: the focal length that Brachmann and Rother (CVPR 2018) use, 744 pixels
@@ -65,8 +71,8 @@ def read(root: Path, split: str) -> list[Record]:
 
 
 def _text_entries(path: Path) -> Iterator[Entry]:
-    lines = read_text(path).splitlines()
-    if len(lines) < 3 or lines[1].strip() != _HEADER or lines[2].strip():
+    lines = read_lines(path)
+    if [line.strip() for line in lines[1:3]] not in ([_HEADER, ""], [_HEADER]):
         raise DataError(f"expected {_HEADER!r} on line 2 and line 3 empty", path, 2)
     columns = ("image", *POSE)
     for line, text in enumerate(lines[3:], start=4):
@@ -74,22 +80,19 @@ def _text_entries(path: Path) -> Iterator[Entry]:
         if len(fields) != len(columns):
             raise DataError(f"expected {' '.join(columns)}, got {text!r}", path, line)
         yield Entry(dict(zip(columns, fields, strict=True)), path, line)
-    if len(lines) == 3:
+    if len(lines) <= 3:
         raise DataError("expected at least one image, got none", path)
 
 
 def _csv_entries(root: Path) -> Iterator[Entry]:
-    paths = sorted(root.glob("*.csv"))
+    paths = find_tables(root)
     if not paths:
         names = ", ".join(TEXT_FILES.values())
         raise FileNotFoundError(
             f"Cambridge Landmarks set: expected one of {names}, or a CSV file, in {root}, got none"
         )
     for path in paths:
-        header, entries = read_table(path)
-        if sorted(header) != sorted(COLUMNS):
-            raise DataError(f"expected the columns {', '.join(COLUMNS)}, got {header}", path, 1)
-        yield from entries
+        yield from read_table(path, COLUMNS)
 
 
 def _record(root: Path, names: Names, entry: Entry, name: str, values: tuple[float, ...]) -> Record:
@@ -99,4 +102,5 @@ def _record(root: Path, names: Names, entry: Entry, name: str, values: tuple[flo
         raise entry.error(f"quaternion: expected norm 1 within {NORM_TOLERANCE}, got {norm:.6g}")
     pose = camera_pose(values[:3], [value / norm for value in values[3:]])
     image = find_image(root, name, entry)
-    return Record(image, name, CAMERA, pose, entry.file, entry.line, (w, x, y, z))
+    raw = (w, x, y, z)
+    return Record(image, name, CAMERA, pose, entry.file, entry.line, raw, target="camera")

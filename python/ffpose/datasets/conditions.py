@@ -56,23 +56,18 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
     path = Path(root) / CONDITIONS
     if not path.exists():
         return None
-    header, entries = read_table(path)
-    if not {"image", *LIMITS} <= set(header):
-        raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
     known, rows = Names(), dict[str, tuple[float, ...]]()
-    for entry in entries:
-        name = known.once(entry, entry.values["image"])
+    for entry in read_table(path, ("image", *LIMITS), others=True):
+        name = known.once(entry, entry.text("image"))
         rows[name] = entry.parsed(tuple(LIMITS))
         for (column, most), value in zip(LIMITS.items(), rows[name], strict=True):
             flag = column in FLAGS
             if not (value in (0, 1) if flag else 0 <= value <= most):
                 expected = "0 or 1" if flag else f"0…{most:g}"
                 raise entry.error(f"{column}: expected {expected}, got {entry.values[column]!r}")
-    for name in names:
-        if name not in rows:
-            raise DataError(f"expected a row for {name}, got none", path)
-    columns = {
-        column: np.array([rows[name][place] for name in names])
-        for place, column in enumerate(LIMITS)
-    }
-    return Conditions(**{k: v.astype(bool) if k in FLAGS else v for k, v in columns.items()})
+    if missing := [name for name in names if name not in rows]:
+        raise DataError(f"expected a row for {missing[0]}, got none", path)
+    columns = np.array([rows[name] for name in names]).reshape(-1, len(LIMITS)).T
+    return Conditions(
+        *(v.astype(bool) if k in FLAGS else v for k, v in zip(LIMITS, columns, strict=True))
+    )

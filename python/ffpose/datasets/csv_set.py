@@ -22,14 +22,20 @@ from pathlib import Path
 
 import numpy as np
 
+from ffpose._internal.entries import Entry
 from ffpose._internal.urso import CONDITIONS
-from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
+from ffpose.datasets.parsing import (
+    Names,
+    expect_set,
+    expect_split,
+    find_image,
+    find_tables,
+    read_table,
+)
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose, Target
+from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Camera, FloatArray, Pose
 from ffpose.geometry.trajectory import Trajectory
-
-TARGET: Target = "object"
 
 KEYPOINT = ("name", "x", "y", "z")
 FIRST = ("train", "val", "test")
@@ -39,9 +45,8 @@ FIRST = ("train", "val", "test")
 def splits(root: Path) -> list[str]:
     """Return the splits of the set: train, val, test, then others by name."""
     expect_set(root, "CSV")
-    tables = (path for path in root.glob("*.csv") if path.is_file() and path.name != CONDITIONS)
-    shown = (path for path in tables if not path.name.startswith("."))
-    found = sorted(path.stem for path in shown if not _has_keypoints(path))
+    tables = (path for path in find_tables(root) if path.name != CONDITIONS)
+    found = [path.stem for path in tables if not _has_keypoints(path)]
     if not found:
         raise FileNotFoundError(f"CSV set: expected a file such as train.csv in {root}, got none")
     return sorted(found, key=lambda split: FIRST.index(split) if split in FIRST else len(FIRST))
@@ -57,33 +62,20 @@ def read(root: Path, split: str) -> list[Record]:
     """Read the images of a split, with labels where it has them."""
     expect_split(split, splits(root))
     path = root / f"{split}.csv"
-    header, entries = read_table(path)
-    labeled = _has_labels(header, path)
     names, camera = Names(), cache(Camera.read)
     records = []
-    for entry in entries:
+    for entry in read_table(path, ("image",), POSE_COLUMNS, ("camera",), ("time",)):
         name = names.add(entry, entry.text("image"))
         image = find_image(root, name, entry)
         seen_by = camera(camera_file(root, entry))
-        time = entry.parsed(("time",))[0] if "time" in header else None
+        time = entry.parsed(("time",))[0] if "time" in entry.values else None
         record = Record(image, name, seen_by, None, path, entry.line, time=time)
-        if labeled:
+        if POSE_COLUMNS[0] in entry.values:
             *t, w, x, y, z = entry.parsed(POSE_COLUMNS)
             raw = (w, x, y, z)
             record = replace(record, pose=entry.made(Pose, t, raw), raw_quaternion=raw)
         records.append(record)
     return records
-
-
-def _has_labels(header: list[str], path: Path) -> bool:
-    """Return whether a split has labels; check its columns."""
-    pose = ", ".join(POSE_COLUMNS)
-    expected = f"expected the columns image, {pose} and, optional, camera and time"
-    labeled = any(name in header for name in POSE_COLUMNS)
-    required = {"image", *POSE_COLUMNS} if labeled else {"image"}
-    if set(header) - {"camera", "time"} != required:
-        raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
-    return labeled
 
 
 def camera_file(root: Path, entry: Entry) -> Path:
@@ -97,8 +89,8 @@ def camera_file(root: Path, entry: Entry) -> Path:
 
 
 def has_pose(entry: Entry) -> bool:
-    """Return whether a row has a pose: any of its seven columns is filled."""
-    return any(entry.values[name].strip() for name in POSE_COLUMNS)
+    """Return whether a row has a pose: any of its seven columns is there and filled."""
+    return any(entry.values.get(name, "").strip() for name in POSE_COLUMNS)
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -113,10 +105,7 @@ def read_trajectory(path: Path) -> Trajectory:
             is not later than the one before, and the error names file and line; or no row has a
             pose.
     """
-    header, entries = read_table(path)
-    if missing := [name for name in ("time", *POSE_COLUMNS) if name not in header]:
-        expected = f"expected the columns time, {', '.join(POSE_COLUMNS)}"
-        raise DataError(f"{expected}; {missing[0]} is missing", path, 1)
+    entries = read_table(path, ("time", *POSE_COLUMNS), others=True)
     times: list[float] = []
     poses = []
     for entry in filter(has_pose, entries):
@@ -145,11 +134,7 @@ def read_keypoints(path: Path) -> FloatArray:
         DataError: The columns are others, a number is not finite, or a name is there twice; the
             error names file and line.
     """
-    header, entries = read_table(path)
-    if set(header) != set(KEYPOINT):
-        expected = f"expected the columns {', '.join(KEYPOINT)}"
-        raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
-    names = Names()
+    entries, names = read_table(path, KEYPOINT), Names()
     for entry in entries:
         names.once(entry, entry.text("name"))
     return np.array([entry.parsed(KEYPOINT[1:]) for entry in entries])

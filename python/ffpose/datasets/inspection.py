@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -25,7 +25,6 @@ from ffpose.datasets import (
     Decoding,
     PoseDataset,
     Record,
-    find_target,
     list_splits,
     read_records,
 )
@@ -48,27 +47,12 @@ _COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f
 """Colors of the splits in turns, distinguishable with color blindness (Okabe and Ito)."""
 
 
-class _Quantity(NamedTuple):
-    """Quantity of a histogram: name, unit and bin edges (None: from the values)."""
-
-    name: str
-    unit: str
-    edges: FloatArray | None = None
-
-
-_TRANSLATION = (
-    _Quantity("distance", "m"),
-    _Quantity("x (right)", "m"),
-    _Quantity("y (down)", "m"),
-    _Quantity("z (depth)", "m"),
-)
-_CENTER = tuple(_Quantity(name, "m") for name in ("distance", "x", "y", "z"))
-"""As `_TRANSLATION`, of a camera in a world, whose axes point anywhere."""
-_ORIENTATION = (
-    _Quantity("roll", "degrees", np.arange(-180.0, 181.0, 15.0)),
-    _Quantity("pitch", "degrees", np.arange(-90.0, 91.0, 7.5)),
-    _Quantity("yaw", "degrees", np.arange(-180.0, 181.0, 15.0)),
-)
+_EDGES = {
+    "roll": np.arange(-180.0, 181.0, 15.0),
+    "pitch": np.arange(-90.0, 91.0, 7.5),
+    "yaw": np.arange(-180.0, 181.0, 15.0),
+}
+"""Edges of the bins of angles, degrees."""
 
 
 def inspect_folder(
@@ -103,7 +87,7 @@ def inspect_folder(
         split: read_records(kind, root, split, decoding) for split in list_splits(kind, root)
     }
     datasets = {
-        split: PoseDataset(each, Preprocessing(), target=find_target(kind))
+        split: PoseDataset(each, Preprocessing())
         for split, each in records.items()
         if each[0].pose is not None
     }
@@ -123,21 +107,17 @@ def inspect_folder(
         "shared_images": _shared_images(records.values()),
         "files": ["translation.png", "orientation.png", *sheets],
     }
-    translations = {split: _translation(dataset.poses) for split, dataset in datasets.items()}
-    orientations = {split: _orientation(dataset.poses) for split, dataset in datasets.items()}
-    _write_histograms(folder / "translation.png", _position(datasets), translations)
-    _write_histograms(folder / "orientation.png", _ORIENTATION, orientations)
+    for name, unit, values in (
+        ("translation", "m", _position),
+        ("orientation", "degrees", _orientation),
+    ):
+        of_splits = {split: values(dataset) for split, dataset in datasets.items()}
+        _write_histograms(folder / f"{name}.png", unit, of_splits)
     for name, dataset in sheets.items():
         with atomic_write(folder / name) as path:
             contact_sheet(dataset, SHEET_IMAGES).save(path)
     write_json(folder / "summary.json", summary)
     return summary
-
-
-def _position(datasets: Mapping[str, PoseDataset]) -> tuple[_Quantity, ...]:
-    """Return the quantities of the positions of splits of one kind."""
-    targets = {dataset.target for dataset in datasets.values()}
-    return _TRANSLATION if targets == {"object"} else _CENTER
 
 
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
@@ -160,14 +140,20 @@ def _tile(dataset: PoseDataset, index: int) -> Image.Image:
     return tile
 
 
-def _translation(poses: FloatArray) -> FloatArray:
-    """Return the quantities of `_TRANSLATION` (N, 4) of poses (N, 7)."""
-    return np.column_stack([np.linalg.norm(poses[:, :3], axis=1), poses[:, :3]])
+def _position(dataset: PoseDataset) -> dict[str, FloatArray]:
+    """Return distances and coordinates by name, meters; a world's axes point anywhere."""
+    x, y, z = dataset.poses[:, :3].T
+    axes = ("x (right)", "y (down)", "z (depth)") if dataset.target == "object" else ("x", "y", "z")
+    return {
+        "distance": np.linalg.norm((x, y, z), axis=0),
+        **dict(zip(axes, (x, y, z), strict=True)),
+    }
 
 
-def _orientation(poses: FloatArray) -> FloatArray:
-    """Return the quantities of `_ORIENTATION` (N, 3) of poses (N, 7)."""
-    return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
+def _orientation(dataset: PoseDataset) -> dict[str, FloatArray]:
+    """Return the angles by name, degrees."""
+    angles = np.asarray(arrays.quaternion_to_euler(dataset.poses[:, 3:]), np.float64)
+    return dict(zip(_EDGES, angles.T, strict=True))
 
 
 def _summarize(dataset: PoseDataset) -> dict[str, Any]:
@@ -177,8 +163,7 @@ def _summarize(dataset: PoseDataset) -> dict[str, Any]:
     stated = [each.raw_quaternion for each in records]
     raw = np.array([pose[3:] if q is None else q for pose, q in zip(poses, stated, strict=True)])
     locates_object = dataset.target == "object"
-    quantities = (*_position({"": dataset}), *_ORIENTATION)
-    values = np.column_stack([_translation(poses), _orientation(poses)])
+    quantities = (("m", _position(dataset)), ("degrees", _orientation(dataset)))
     failures = {
         "unit_quaternion": np.abs(np.linalg.norm(raw, axis=1) - 1) > _NORM_TOLERANCE,
         "scalar_not_negative": raw[:, 0] < 0,
@@ -194,13 +179,14 @@ def _summarize(dataset: PoseDataset) -> dict[str, Any]:
         },
         "origin_in_image": _origin_share(dataset) if locates_object else None,
         "ranges": {
-            quantity.name: {
-                "unit": quantity.unit,
+            name: {
+                "unit": unit,
                 "least": float(column.min()),
                 "median": float(np.median(column)),
                 "greatest": float(column.max()),
             }
-            for quantity, column in zip(quantities, values.T, strict=True)
+            for unit, values in quantities
+            for name, column in values.items()
         },
     }
 
@@ -216,29 +202,26 @@ def _origin_share(dataset: PoseDataset) -> float:
 
 def _shared_images(splits: Iterable[Sequence[Record]]) -> list[str]:
     """Return the images in more than one split, which would bias an evaluation."""
-    names = {record.image: record.name for records in splits for record in records}
-    counts = Counter(record.image for records in splits for record in records)
-    return sorted(names[path] for path, count in counts.items() if count > 1)
+    counts = Counter((record.image, record.name) for records in splits for record in records)
+    return sorted(name for (_, name), count in counts.items() if count > 1)
 
 
-def _write_histograms(
-    path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
-) -> None:
-    """Draw a histogram of each quantity with the splits stacked; values are (N, quantities)."""
-    figure = new_figure(3.4 * len(quantities), 3.2)
-    for place, (quantity, axes) in enumerate(
-        zip(quantities, figure.subplots(1, len(quantities)), strict=True)
-    ):
+def _write_histograms(path: Path, unit: str, splits: Mapping[str, dict[str, FloatArray]]) -> None:
+    """Draw a histogram of each quantity with the splits stacked."""
+    names = next(iter(splits.values()))
+    figure = new_figure(3.4 * len(names), 3.2)
+    for name, axes in zip(names, figure.subplots(1, len(names)), strict=True):
+        edges = _EDGES.get(name)
         axes.hist(
-            [split[:, place] for split in values.values()],
-            bins=24 if quantity.edges is None else quantity.edges,
+            [values[name] for values in splits.values()],
+            bins=24 if edges is None else edges,
             stacked=True,
-            label=[f"{name} ({len(split)})" for name, split in values.items()],
-            color=list(islice(cycle(_COLORS), len(values))),
+            label=[f"{split} ({len(values[name])})" for split, values in splits.items()],
+            color=list(islice(cycle(_COLORS), len(splits))),
         )
-        if quantity.edges is not None:
-            axes.set_xticks(quantity.edges[::4])
-        axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
+        if edges is not None:
+            axes.set_xticks(edges[::4])
+        axes.set_xlabel(f"{name} [{unit}]")
         style_axes(axes, grid=None)
     figure.axes[0].set_ylabel("images")
     handles, labels = figure.axes[0].get_legend_handles_labels()

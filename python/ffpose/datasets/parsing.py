@@ -1,97 +1,19 @@
-"""Parts of the readers: tables, lists in JSON, names and labels, with errors by file and line."""
+"""Parts of the readers: tables, lists in JSON and names, with errors by file and line."""
 
 from __future__ import annotations
 
 import csv
 import json
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, TypeVar
 
-from ffpose._internal.files import (
-    distinct_keys,
-    expect_folder,
-    json_errors,
-    read_json,
-    read_text,
-    shortened,
-)
+from ffpose._internal.entries import Entry
+from ffpose._internal.files import distinct_keys, expect_folder, json_errors, read_text, shortened
 from ffpose.errors import DataError, expect
-
-Made = TypeVar("Made")
 
 BETWEEN = re.compile(r"[\s,]*")
 """What stands between the members of a list in JSON."""
-
-
-class Entry(NamedTuple):
-    """A row of a table or a member of a list, and its line in the file.
-
-    Attributes:
-        values: The values by name: strings in a table, anything in JSON.
-        file: The file.
-        line: The line that it begins on, counted from one.
-    """
-
-    values: Mapping[str, Any]
-    file: Path
-    line: int
-
-    def error(self, message: str) -> DataError:
-        """Return an error that names file and line."""
-        return DataError(message, self.file, self.line)
-
-    def text(self, key: str) -> str:
-        """Return a value that must be a text of at least one character."""
-        value = self._value(key)
-        if not isinstance(value, str) or not value.strip():
-            raise self.error(f"{key}: expected a name, got {shortened(value)}")
-        return value.strip()
-
-    def number(self, key: str) -> float:
-        """Return a finite number."""
-        return self._finite(key, self._value(key))
-
-    def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        """Return a list of ``count`` finite numbers."""
-        value = self._value(key)
-        if not isinstance(value, list) or len(value) != count:
-            raise self.error(f"{key}: expected {count} numbers, got {shortened(value)}")
-        return tuple(self._finite(key, each) for each in value)
-
-    def parsed(self, keys: Sequence[str]) -> tuple[float, ...]:
-        """Return values that a table holds as text, which must be finite numbers."""
-        return tuple(map(self._parsed, keys))
-
-    def _parsed(self, key: str) -> float:
-        text = self._value(key)
-        try:
-            return self._finite(key, float(text))
-        except ValueError as error:
-            raise self.error(f"{key}: expected a finite number, got {shortened(text)}") from error
-
-    def _value(self, key: str) -> Any:
-        if key not in self.values:
-            raise self.error(f"expected the key {key}, got {', '.join(self.values) or 'none'}")
-        return self.values[key]
-
-    def _finite(self, key: str, value: object) -> float:
-        if type(value) in (int, float):
-            with suppress(OverflowError):  # an integer of hundreds of digits
-                number = float(value)  # type: ignore[arg-type]  # a number by then
-                if math.isfinite(number):
-                    return number
-        raise self.error(f"{key}: expected a finite number, got {shortened(value)}")
-
-    def made(self, kind: Callable[..., Made], *values: object) -> Made:
-        """Return what values make; what is wrong with them becomes an error of this entry."""
-        try:
-            return kind(*values)
-        except ValueError as error:
-            raise self.error(str(error)) from error
 
 
 class Names:
@@ -160,17 +82,37 @@ def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> P
     return path
 
 
-def read_table(path: Path) -> tuple[list[str], list[Entry]]:
+def find_tables(root: Path) -> list[Path]:
+    """Return the CSV files of a folder, sorted; hidden ones, as macOS leaves, are none."""
+    there = (path for path in root.glob("*.csv") if path.is_file())
+    return sorted(path for path in there if not path.name.startswith("."))
+
+
+def read_table(
+    path: Path, columns: Sequence[str], *perhaps: Sequence[str], others: bool = False
+) -> list[Entry]:
     """Read a CSV file with a header, and rows of as many fields; lines may end as on Windows.
 
-    A DataError if it is empty, a column is there twice, a row is short or long, or there are none;
-    or as in `read_rows`.
+    Args:
+        path: The file.
+        columns: Columns that must be there, in any order.
+        *perhaps: Columns that may be there besides, all or none of each group.
+        others: Whether any other columns may be there.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: It is empty, a column is missing, unknown or there twice, a row is short or long,
+            or there are none; or as in `read_rows`.
     """
     table = read_rows(path)
     _, names = next(table, (1, []))
     header = [name.strip() for name in names]
     if len(set(header)) != len(header) or not header:
         raise DataError(f"expected a header of distinct columns, got {header}", path, 1)
+    known = set(columns).union(*(group for group in perhaps if set(group) <= set(header)))
+    if not set(columns) <= set(header) or not (others or set(header) <= known):
+        expected = ", and perhaps ".join(map(", ".join, (columns, *perhaps)))
+        raise DataError(f"expected the columns {expected}, got {', '.join(header)}", path, 1)
     rows = []
     for line, fields in table:
         if len(fields) != len(header):
@@ -179,16 +121,21 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
         rows.append(Entry(dict(zip(header, fields, strict=True)), path, line))
     if not rows:
         raise DataError("expected at least one row, got none", path)
-    return header, rows
+    return rows
+
+
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file; blank ones at its end, which editors leave, do not count."""
+    return read_text(path).rstrip().splitlines()
 
 
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a CSV file, each one line, with its number; blank lines may end the file.
+    """Yield the rows of a CSV file, each one line of `read_lines`, with its number.
 
     A DataError if a line is not CSV: a quote stays open, or closes within a field, or a field is
     longer than `csv.field_size_limit`.
     """
-    for number, line in enumerate(read_text(path).rstrip().splitlines(), start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         try:  # Line by line: an open quote must not take the next lines for its field.
             fields = next(csv.reader([line], strict=True), [])
         except csv.Error as error:
@@ -223,11 +170,3 @@ def _next_member(text: str, place: int) -> int:
     between = BETWEEN.match(text, place)
     assert between is not None  # it may be empty
     return between.end()
-
-
-def read_object(path: Path) -> Entry:
-    """Read a JSON file that holds one object, or raise a DataError."""
-    values = read_json(path)
-    if not isinstance(values, dict):
-        raise DataError(f"expected an object, got {shortened(values)}", path, 1)
-    return Entry(values, path, 1)

@@ -15,9 +15,11 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,7 @@ from ffpose.datasets.base import PoseDataset
 from ffpose.datasets.cache import BUILD_LIMIT_S, cache_folder
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera
 from ffpose.imaging.images import decode_all, open_image
 from ffpose.imaging.patches import (
     Arrays,
@@ -60,7 +62,7 @@ def dataset_patches(
     def extract(index: int) -> Patches:
         record = records[index]
         frame = preprocessing.frame(dataset.load_image(index))
-        seen = read_coordinates(record, record.camera) if coordinates else None
+        seen = read_coordinates(record) if coordinates else None
         return extract_patches(frame, record.label, spec, seen)
 
     def pieces() -> Iterator[Patches]:
@@ -100,18 +102,18 @@ def _written(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera], Bytes]:
+def read_coordinates(record: Record) -> Callable[[Camera], Bytes]:
     """Return the object's coordinates of an image as any camera of the same view sees them.
 
     A DataError if there is no such file, or it is another picture.
     """
-    path = coordinates_file(record)
+    path, camera = coordinates_file(record), record.camera
     with open_image(path) as image:
         picture = np.asarray(image)
     expected = (camera.height, camera.width, 4)
     if picture.shape != expected or picture.dtype != np.uint8:
         raise DataError(f"expected 8-bit RGBA of {camera.width}x{camera.height} pixels", path)
-    return lambda _, window: nearest_pixels(picture, camera, window)
+    return partial(nearest_pixels, picture, camera)
 
 
 def cached_patches(
@@ -119,16 +121,12 @@ def cached_patches(
     count: int,
     spec: PatchSpec,
     pieces: Callable[[], Iterable[Patches]],
-    begun: Arrays | None = None,
+    begun: Arrays = MappingProxyType({}),
 ) -> dict[str, NDArray[Any]]:
-    """Return the patches in a folder; write them where it does not exist yet.
+    """Return the patches of ``count`` images in a folder; write them where it does not exist yet.
 
-    Args:
-        folder: The folder, named by all that the patches depend on.
-        count: Number of images.
-        spec: Geometry of the two patches.
-        pieces: Function that yields the patches in order.
-        begun: Patches of the first images, which are copied; ``pieces`` yields those of the others.
+    The folder is named by all that they depend on. ``pieces`` yields them in order, but for those
+    of the first images in ``begun``, which are copied.
     """
     if not folder.exists():
         _store(folder, count, spec, pieces(), begun)
@@ -151,7 +149,7 @@ def digest(described: dict[str, Any]) -> str:
 
 
 def _store(
-    folder: Path, count: int, spec: PatchSpec, pieces: Iterable[Patches], begun: Arrays | None
+    folder: Path, count: int, spec: PatchSpec, pieces: Iterable[Patches], begun: Arrays
 ) -> None:
     """Write the patches to a temporary folder and rename it, so that all exist or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -169,8 +167,13 @@ def _store(
             for name, (shape, dtype) in spec.shapes(count).items()
         }
         _reserve(unfinished)
-        _fill(arrays, pieces, begun)
-        del arrays
+        for name, first in begun.items():
+            arrays[name][: len(first)] = first
+        for row, piece in enumerate(pieces, start=len(begun.get("labels", ()))):
+            piece.store(arrays, row)
+        for array in arrays.values():
+            array.flush()
+        del arrays, array
         try:
             unfinished.rename(folder)
         except OSError:
@@ -184,17 +187,3 @@ def _reserve(folder: Path) -> None:
         for path in folder.iterdir():
             with path.open("r+b") as file:
                 os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-
-
-def _fill(
-    arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterable[Patches], begun: Arrays | None
-) -> None:
-    first = 0
-    if begun is not None:
-        first = len(begun["labels"])
-        for name, array in arrays.items():
-            array[:first] = begun[name]
-    for row, piece in enumerate(pieces, start=first):
-        piece.store(arrays, row)
-    for array in arrays.values():
-        array.flush()

@@ -61,6 +61,7 @@ class Record:
         lens: Camera of the file, where decoding undistorts it; None where it does not.
         white: Level or percentile that becomes 255, as for `Decoding`.
         time: Time of the middle of the exposure, seconds; None where the set has none.
+        target: What the label locates.
     """
 
     image: Path
@@ -73,6 +74,7 @@ class Record:
     lens: DistortedCamera | None = None
     white: float | str | None = None
     time: float | None = None
+    target: Target = "object"
 
     def decoded_by(self, decoding: Decoding) -> Record:
         """Return the record whose image is decoded as ``decoding`` says."""
@@ -174,12 +176,12 @@ def with_camera(records: Sequence[Record], root: Path, published: Camera) -> lis
     return [replace(record, camera=camera) for record in records]
 
 
-def expect_in_front(records: Iterable[Record], target: Target) -> None:
+def expect_in_front(records: Iterable[Record]) -> None:
     """Refuse labels that place an object at the camera or behind it.
 
     Raises:
         DataError: Such a label; the error names file and line that list its image.
     """
     for record in records:
-        if target == "object" and (depth := record.label.t[2]) <= 0:
+        if record.target == "object" and (depth := record.label.t[2]) <= 0:
             raise record.error(f"expected an object in front of the camera, z > 0, got z = {depth}")

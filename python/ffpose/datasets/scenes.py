@@ -70,7 +70,7 @@ def rendered_patches(
             disable=quiet,
         )
 
-    begun = open_patches(there[fewer]) if fewer else None
+    begun = open_patches(there[fewer]) if fewer else {}
     return cached_patches(root / f"{name}-{count}", count, spec, pieces, begun)
 
 

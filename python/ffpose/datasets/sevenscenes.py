@@ -15,14 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ffpose._internal.files import read_text
-from ffpose.datasets.parsing import Entry, Names, existing_splits, split_file
+from ffpose._internal.entries import Entry
+from ffpose.datasets.parsing import Names, existing_splits, read_lines, split_file
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose, Target, camera_pose
+from ffpose.geometry import Camera, Pose, camera_pose
 from ffpose.geometry.rotations import from_matrix
-
-TARGET: Target = "camera"
 
 CAMERA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
 """Nominal camera of the color images, which were not calibrated; only drawings depend on it."""
@@ -42,7 +40,7 @@ def read(root: Path, split: str) -> list[Record]:
     """Read the labeled images of a split, sequence by sequence."""
     path = split_file(root, "7Scenes", FILES, split)
     records, names = [], Names()
-    for line, text in enumerate(read_text(path).splitlines(), start=1):
+    for line, text in enumerate(read_lines(path), start=1):
         match = re.fullmatch(r"sequence(\d+)", text.strip())
         if match is None:
             raise DataError(f"expected a line such as sequence1, got {text!r}", path, line)
@@ -65,15 +63,14 @@ def _read_sequence(folder: Path, source: Path, line: int) -> list[Record]:
             if not path.is_file():
                 raise DataError(f"expected {path}, got no such file", source, line)
         name = f"{folder.name}/{image.name}"
-        records.append(Record(image, name, CAMERA, read_pose(label), label, 1))
+        pose = read_pose(label)
+        records.append(Record(image, name, CAMERA, pose, label, 1, target="camera"))
     return records
 
 
 def read_pose(path: Path) -> Pose:
     """Read the matrix from an image's camera to the world, as the world in the camera frame."""
-    lines = read_text(path).split("\n")
-    while lines and not lines[-1].strip():
-        lines.pop()
+    lines = read_lines(path)
     if len(lines) != 4:
         raise DataError(f"expected four rows of four numbers, got {len(lines)} rows", path)
     matrix = np.array([_row(text, path, line) for line, text in enumerate(lines, start=1)])

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ffpose.datasets.parsing import Entry, Names, existing_splits, find_image, read_list, split_file
+from ffpose._internal.entries import Entry
+from ffpose.datasets.parsing import Names, existing_splits, find_image, read_list, split_file
 from ffpose.datasets.records import Record
-from ffpose.geometry import Camera, Pose, Target
+from ffpose.geometry import Camera, Pose
 
-TARGET: Target = "object"
 CAMERA = Camera(width=1920, height=1200, fx=3003.413, fy=3003.413, cx=960.0, cy=600.0)
 """The camera of all images, the real ones too."""
 

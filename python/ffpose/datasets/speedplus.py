@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from ffpose._internal.entries import Entry, read_object
 from ffpose._internal.files import shortened
-from ffpose.datasets.parsing import Entry, existing_splits, read_object, split_file
+from ffpose.datasets.parsing import existing_splits, split_file
 from ffpose.datasets.records import Record
 from ffpose.datasets.speed import read_images
-from ffpose.geometry import DistortedCamera, Target
+from ffpose.geometry import DistortedCamera
 
-TARGET: Target = "object"
 FILES = {
     "train": "synthetic/train.json",
     "val": "synthetic/validation.json",
@@ -64,9 +64,8 @@ def read_camera(path: Path) -> DistortedCamera:
     for name, (value, expected) in others.items():
         if not math.isclose(value, expected, rel_tol=_AGREEMENT):
             raise entry.error(f"{name}: expected {expected} as in cameraMatrix, got {value}")
-    width, height = (_whole(entry, key) for key in ("Nu", "Nv"))
-    lens = entry.numbers("distCoeffs", 5)
-    return entry.made(DistortedCamera, width, height, fx, fy, cx, cy, lens)
+    size, lens = (entry.whole("Nu"), entry.whole("Nv")), entry.numbers("distCoeffs", 5)
+    return entry.made(DistortedCamera, *size, fx, fy, cx, cy, lens)
 
 
 def _matrix(entry: Entry) -> tuple[float, float, float, float]:
@@ -88,10 +87,3 @@ def _positive(entry: Entry, key: str) -> float:
     if value <= 0:
         raise entry.error(f"{key}: expected a positive number, got {value}")
     return value
-
-
-def _whole(entry: Entry, key: str) -> int:
-    value = entry.number(key)
-    if not value.is_integer():
-        raise entry.error(f"{key}: expected a whole number of pixels, got {value}")
-    return int(value)

@@ -14,21 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ffpose._internal.files import read_text
-from ffpose._internal.urso import (
-    COLUMNS,
-    LISTS,
-    TABLE,
-    TABLES,
-    from_label,
-    index_of,
+from ffpose._internal.entries import Entry
+from ffpose._internal.urso import COLUMNS, LISTS, TABLE, TABLES, from_label, index_of
+from ffpose.datasets.parsing import (
+    Names,
+    existing_splits,
+    read_lines,
+    read_table,
+    split_file,
 )
-from ffpose.datasets.parsing import Entry, Names, existing_splits, read_table, split_file
 from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
-from ffpose.geometry import URSO_CAMERA, Pose, Target
-
-TARGET: Target = "object"
+from ffpose.geometry import URSO_CAMERA, Pose
 
 _SAME_LABEL = 1e-5
 """Tolerance between labels in two files, which may print different numbers of digits."""
@@ -42,7 +39,7 @@ def splits(root: Path) -> list[str]:
 def read(root: Path, split: str) -> list[Record]:
     """Read the labeled images of a split, whose names and labels must align."""
     list_file, table_file = (split_file(root, "URSO", files, split) for files in (LISTS, TABLES))
-    names, rows = _read_names(list_file), _read_rows(table_file)
+    names, rows = _read_names(list_file), read_table(table_file, COLUMNS, others=True)
     if len(rows) != len(names):
         raise DataError(
             f"expected {len(names)} labels, one for each line of {list_file.name}, got {len(rows)}",
@@ -61,7 +58,7 @@ def read(root: Path, split: str) -> list[Record]:
 
 def _read_names(path: Path) -> list[str]:
     names, known = [], Names()
-    for line, text in enumerate(read_text(path).splitlines(), start=1):
+    for line, text in enumerate(read_lines(path), start=1):
         name = text.strip()
         if not name or Path(name).name != name:
             raise DataError(f"expected the name of an image, got {text!r}", path, line)
@@ -71,16 +68,9 @@ def _read_names(path: Path) -> list[str]:
     return names
 
 
-def _read_rows(path: Path) -> list[Entry]:
-    header, rows = read_table(path)
-    if not set(COLUMNS) <= set(header):
-        raise DataError(f"expected the columns {', '.join(COLUMNS)} once, got {header}", path, 1)
-    return rows
-
-
 def _check_alignment(names: list[str], rows: list[Entry], table: Path) -> None:
     """Check the labels of a split against ``gt.csv``, whose row N labels ``N_rgb.png``."""
-    whole = _read_rows(table)
+    whole = read_table(table, COLUMNS, others=True)
     for name, row in zip(names, rows, strict=True):
         number = index_of(name)
         if number is None:

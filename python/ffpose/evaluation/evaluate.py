@@ -342,7 +342,7 @@ def evaluate(
     decoding = (decoding or Decoding()).completed(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.expect_target(metadata.locates)
-    expect_in_front(dataset.records, dataset.target)
+    expect_in_front(dataset.records)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     of = "the weights' training"

@@ -16,12 +16,9 @@ All other modules follow these conventions, and convert data in other convention
 `ffpose._internal.urso` says how the labels of URSO convert.
 """
 
-from ffpose.geometry.frames import (
-    CAMERA_FILE,
+from ffpose.geometry.camera import CAMERA_FILE, URSO_CAMERA, Camera, DistortedCamera
+from ffpose.geometry.pose import (
     POSE_COLUMNS,
-    URSO_CAMERA,
-    Camera,
-    DistortedCamera,
     Pose,
     PoseUncertainty,
     Target,

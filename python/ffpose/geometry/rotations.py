@@ -11,6 +11,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose._internal.files import shortened
+
 FloatArray = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3
@@ -25,7 +27,7 @@ def real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
     if array.ndim < 1 or array.shape[-1] != size:
         raise ValueError(f"{name}: expected shape (..., {size}), got {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
+        raise ValueError(f"{name}: expected finite numbers, got {shortened(array.tolist())}")
     return array.astype(np.float64)
 
 
@@ -33,11 +35,11 @@ def unit_quaternion(q: ArrayLike) -> FloatArray:
     """Normalize ``q (..., 4)``, whose norm must be one within `QUATERNION_TOLERANCE`."""
     array = real_array("quaternion", q, 4)
     norm = np.linalg.norm(array, axis=-1, keepdims=True)
-    worst = float(np.max(np.abs(norm - 1), initial=0.0))
-    if worst > QUATERNION_TOLERANCE:
+    deviation = np.abs(norm - 1)
+    if deviation.max(initial=0.0) > QUATERNION_TOLERANCE:
+        got = norm.flat[deviation.argmax()]
         raise ValueError(
-            f"quaternion: expected norm 1 within {QUATERNION_TOLERANCE}, "
-            f"got {norm.flat[np.argmax(np.abs(norm - 1))]:.6g}"
+            f"quaternion: expected norm 1 within {QUATERNION_TOLERANCE}, got {got:.6g}"
         )
     return np.asarray(array / norm)
 

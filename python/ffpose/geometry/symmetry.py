@@ -2,7 +2,8 @@
 
 With such a rotation ``g``, in the object's frame, the attitudes ``q`` and ``q g`` give the same
 image, and no network can tell them apart. Errors modulo the group are to the nearest of them, as
-BOP's MSSD takes the least distance (Hodan et al., "BOP Challenge 2020", ECCVW 2020).
+BOP's MSSD takes the least distance (Hodan et al., "BOP Challenge 2020", ECCVW 2020). About an axis
+of any angle that one has a closed form; `STEPS` rotations stand for all where a list is needed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose._internal.cached import cached_property
 from ffpose._internal.files import read_json, shortened, write_json
@@ -20,7 +20,7 @@ from ffpose.errors import DataError, expect
 from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_matrix
 
 STEPS = 360
-"""Rotations that stand for any angle about an axis: the nearest is within half a degree."""
+"""Rotations that stand for any angle about an axis in a list: one is within half a degree."""
 
 MOST_FOLD = 60
 
@@ -81,35 +81,60 @@ class SymmetryGroup:
             if len(axis.direction) != 3 or not 0 < np.linalg.norm(axis.direction) < np.inf:
                 raise ValueError(f"axis: expected a direction of 3 numbers, got {axis.direction}")
             expect(0 <= axis.fold <= MOST_FOLD, "fold", f"0 to {MOST_FOLD}, 0 for any", axis.fold)
-        _ = self.rotations
+        _ = self._finite
 
     @cached_property
     def rotations(self) -> FloatArray:
         """All of its rotations, unit quaternions ``(G, 4)``, the identity first."""
+        if self._free is None:
+            return self._finite
+        return multiply(self._finite[:, None], self._free.turns).reshape(-1, 4)
+
+    @property
+    def _free(self) -> Axis | None:
+        """The axis of any angle, if there is one."""
+        return next((axis for axis in self.axes if axis.fold == 0), None)
+
+    @cached_property
+    def _finite(self) -> FloatArray:
+        """Rotations ``(F, 4)``, the identity first; times the turns about `_free` they are all."""
         found = np.array([[1.0, 0.0, 0.0, 0.0]])
         turns = np.concatenate([axis.turns[1:] for axis in self.axes if axis.fold] or [found])
-        grown = True
-        while grown:
+        before = 0
+        while before < len(found):
             before = len(found)
             for turn in turns:
                 new = multiply(found, turn)
-                found = np.concatenate([found, new[~_among(new, found)]])
+                there = (np.abs(new @ found.T) > ALIKE).any(axis=1)
+                found = np.concatenate([found, new[~there]])
                 expect(len(found) <= MOST, "axes", "those of a finite group", self)
-            grown = len(found) > before
-        free = [axis for axis in self.axes if axis.fold == 0]
-        if not free:
+        if self._free is None:
             return found
-        along = rotation_matrix(found) @ free[0].unit @ free[0].unit
-        if min(np.abs(along).min(), *(abs(a.unit @ free[0].unit) for a in free)) < ALIKE:
+        along = rotation_matrix(found) @ self._free.unit @ self._free.unit
+        others = [axis.unit @ self._free.unit for axis in self.axes if axis.fold == 0]
+        if np.abs([*along, *others]).min() < ALIKE:
             raise ValueError(f"axes: expected some that leave an attitude, got {self}")
         # The finite ones turn about the axis or reverse it, and one that does stands for all.
-        flips = found[along < 0][:1]
-        both = np.concatenate([found[:1], flips])
-        return multiply(both[:, None], free[0].turns).reshape(-1, 4)
+        return np.concatenate([found[:1], found[along < 0][:1]])
+
+    def _products(self, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the products ``(N, F)`` of turns ``(N, 4)`` with `_finite`, and with `_spun`.
+
+        Of ``g (cos s + u sin s)``, about the axis ``u`` of any angle, the product with a turn is
+        ``a cos s + b sin s`` with those of ``g`` and ``g u``: at most ``hypot(a, b)``, at ``s =
+        atan2(b, a)``.
+        """
+        return turns @ self._finite.T, turns @ self._spun.T
+
+    @cached_property
+    def _spun(self) -> FloatArray:
+        """Half turns about `_free` and then `_finite`, ``(F, 4)``; zero without such an axis."""
+        unit = np.zeros(3) if self._free is None else self._free.unit
+        return multiply(self._finite, np.array([0.0, *unit]))
 
     def has(self, rotations: FloatArray) -> bool:
         """Return whether unit quaternions ``(N, 4)`` are all among its own, within a degree."""
-        nearest = np.abs(rotations @ self.rotations.T).max(axis=1)
+        nearest = np.hypot(*self._products(rotations)).max(axis=1)
         return bool((nearest > np.cos(np.radians(0.5))).all())
 
     def __len__(self) -> int:
@@ -125,9 +150,12 @@ class SymmetryGroup:
         """
         if len(self) == 1:
             return q
-        between = multiply(conjugate(q), q_hat)
-        chosen = np.abs(between @ self.rotations.T).argmax(axis=1)
-        return multiply(q, self.rotations[chosen])
+        a, b = self._products(multiply(conjugate(q), q_hat))
+        chosen = np.hypot(a, b).argmax(axis=1)
+        a, b = (np.take_along_axis(each, chosen[:, None], axis=1) for each in (a, b))
+        spin = np.arctan2(b * np.copysign(1, a), np.abs(a))
+        turn = self._finite[chosen] * np.cos(spin) + self._spun[chosen] * np.sin(spin)
+        return multiply(q, turn)
 
     def folded(self, predicted: FloatArray, truth: FloatArray) -> FloatArray:
         """Return true poses ``(N, 7)`` with the attitude `nearest` to that of predicted ones."""
@@ -206,11 +234,6 @@ def _axis(value: Any) -> Axis:
         f'axes: expected {{"axis": [x, y, z], "fold": 2 to {MOST_FOLD} or "any"}}, '
         f"got {shortened(value)}"
     )
-
-
-def _among(new: FloatArray, found: FloatArray) -> NDArray[np.bool_]:
-    """Return which of unit quaternions ``(N, 4)`` are among others ``(M, 4)``, of either sign."""
-    return np.asarray((np.abs(new @ found.T) > ALIKE).any(axis=1))
 
 
 IDENTITY = SymmetryGroup()

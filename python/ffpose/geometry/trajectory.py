@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffpose.geometry.frames import Pose
+from ffpose.geometry.pose import Pose
 from ffpose.geometry.rotations import (
     FloatArray,
     conjugate,

@@ -17,7 +17,6 @@ import numpy as np
 from PIL import Image, ImageFile
 
 from ffpose.errors import DataError, expect
-from ffpose.imaging.png import load_all_rows
 
 Item = TypeVar("Item")
 Decoded = TypeVar("Decoded")
@@ -70,12 +69,14 @@ def check_white(name: str, white: float | str) -> None:
 
 
 def image_files(folder: Path, name: str) -> list[Path]:
-    """Return the PNG, JPEG and PGM files of a folder, at least one, sorted by name."""
+    """Return the PNG, JPEG and PGM files of a folder, at least one, sorted by name.
+
+    Hidden ones, as macOS leaves beside each file, are left out.
+    """
     if not folder.is_dir():
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
-    images = sorted(
-        path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.is_dir()
-    )
+    shown = (path for path in folder.iterdir() if not (path.is_dir() or path.name.startswith(".")))
+    images = sorted(path for path in shown if path.suffix.lower() in SUFFIXES)
     if not images:
         raise FileNotFoundError(f"{name}: expected PNG, JPEG or PGM files in {folder}, got none")
     return images
@@ -123,9 +124,7 @@ def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: The file is not an intact image, or too large (`MAX_PIXELS`), or its mode is not
-            in `MODES`, or it has more than 8 bits per channel. A PNG file that lacks rows is not
-            intact.
+        DataError: As `open_image` and `to_rgb`.
     """
     with open_image(path) as image:
         return to_rgb(image, path, white if image.mode in DEEP_MODES else None)
@@ -196,7 +195,7 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
         got = image.mode + level
         raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {got}", path)
     if image.format == "PNG":
-        load_all_rows(image, path)
+        _load_all_rows(image, path)
     # A palette may hold transparency, which Pillow only drops by way of RGBA.
     return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
 
@@ -207,7 +206,7 @@ def _scaled(image: Image.Image, path: Path, white: float | str) -> Image.Image:
         expected = f"pixels of mode {', '.join(DEEP_MODES)}, for which a white level is stated"
         raise DataError(f"expected {expected}, got {image.mode}", path)
     if image.format == "PNG":
-        load_all_rows(image, path)
+        _load_all_rows(image, path)
     stretched = _maxval(image)  # is forgotten once the pixels are decoded
     levels = np.asarray(image).astype(np.float64)
     if stretched is not None:
@@ -217,6 +216,26 @@ def _scaled(image: Image.Image, path: Path, white: float | str) -> Image.Image:
         raise DataError(f"expected a level above 0 at percentile {white}, got {level:g}", path)
     gray = np.rint(np.clip(levels / level, 0, 1) * 255).astype(np.uint8)
     return Image.fromarray(gray).convert("RGB")
+
+
+def _load_all_rows(image: Image.Image, path: Path) -> None:
+    """Decode a PNG file whole, or raise a DataError where it holds fewer rows than its header says.
+
+    Pillow leaves the others as they were and tells no error; libpng and other decoders refuse such
+    a file. So the pixels are white before, and where the last row is white then, or the image
+    interlaced, whose last pass ends in one of the last two rows, it is decoded on black too.
+    """
+
+    def last_rows(picture: Image.Image, level: int) -> bytes:
+        picture.im = Image.new(picture.mode, picture.size, (level,) * len(picture.getbands())).im
+        return picture.crop((0, max(0, picture.height - 2), *picture.size)).tobytes()
+
+    seen, interlaced = last_rows(image, 255), image.info.get("interlace")
+    white = Image.new(image.mode, (image.width, 1), (255,) * len(image.getbands())).tobytes()
+    if interlaced or seen.endswith(white):
+        with Image.open(path) as again:
+            if last_rows(again, 0) != seen:
+                raise DataError(f"expected pixels of {image.height} rows, got fewer", path)
 
 
 def _is_deep(image: Image.Image) -> bool:

@@ -187,7 +187,7 @@ def extract_patches(
     image: Bytes,
     pose: Pose,
     spec: PatchSpec,
-    coordinates: Callable[[Pose, Camera], Bytes] | None = None,
+    coordinates: Callable[[Camera], Bytes] | None = None,
     halved: int = 0,
 ) -> Patches:
     """Extract the stored patches from an image of the network's camera.
@@ -196,8 +196,8 @@ def extract_patches(
         image: Image ``(H, W, 3)`` of ``spec.level_camera(halved)``, uint8.
         pose: Pose of the object.
         spec: Geometry of the patches.
-        coordinates: Function that returns the object coordinates ``(h, w, 4)`` for a pose and a
-            camera, as `ffpose.render.layers.object_coordinates`; None where unknown.
+        coordinates: Function that returns the object coordinates ``(h, w, 4)`` for a camera of the
+            same view, as `ffpose.render.layers.object_coordinates`; None where unknown.
         halved: Level of the image pyramid that the image is, at most `PatchSpec.level` of the pose.
 
     Raises:
@@ -214,7 +214,7 @@ def extract_patches(
         nearest_pixels(averaged(image, 1 << (level - halved)), spec.level_camera(level), camera),
         np.zeros((half, half, 4), np.uint8)
         if coordinates is None
-        else coordinates(pose, camera.resized(half, half)),
+        else coordinates(camera.resized(half, half)),
         pose,
         camera,
         level,

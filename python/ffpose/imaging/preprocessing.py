@@ -106,9 +106,8 @@ class Preprocessing:
 
     def crop(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
         """Return the window of a frame ``(H, W, 3)`` as float32 ``(3, h, w)`` in [0, 1]."""
-        rows = slice(window.top, window.top + self.size[0])
-        columns = slice(window.left, window.left + self.size[1])
-        return planes(frame[rows, columns])
+        (top, left), (height, width) = window, self.size
+        return planes(frame[top : top + height, left : left + width])
 
     def array(self, image: Image.Image) -> NDArray[np.float32]:
         """Return the network's input as an array, ``(3, h, w)``.
@@ -150,22 +149,14 @@ class Preprocessing:
         return self.window_camera(camera, self.center_window(size))
 
     def image_camera(self, view: Camera, width: int, height: int) -> Camera:
-        """Return the camera of an image of ``width`` x ``height``: the inverse of `camera`.
-
-        Args:
-            view: The camera that sees the network's input.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
-        """
-        frame_height, frame_width = self.frame_size(width, height)
-        window = self.center_window((frame_height, frame_width))
-        return view.cropped(-window.left, -window.top, frame_width, frame_height).resized(
-            width, height
-        )
+        """Return the camera of an image of ``width`` x ``height``: the inverse of `camera`."""
+        rows, columns = self.frame_size(width, height)
+        top, left = self.center_window((rows, columns))
+        return view.cropped(-left, -top, columns, rows).resized(width, height)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON can hold them; `from_dict` reads them back."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Preprocessing:
@@ -175,9 +166,7 @@ class Preprocessing:
             ValueError: A field is missing, unknown or not usable.
         """
         if set(fields) - {"interpolation"} != {"size", "mode", "mean", "std"}:
-            raise ValueError(
-                "preprocessing: expected size, mode, mean, std, interpolation, "
-                f"got {sorted(fields)}"
-            )
+            expected = "size, mode, mean, std, interpolation"
+            raise ValueError(f"preprocessing: expected {expected}, got {sorted(fields)}")
         size, mean, std = (tuple(fields[name]) for name in ("size", "mean", "std"))
         return cls(size, fields["mode"], mean, std, fields.get("interpolation", "bilinear"))

@@ -7,13 +7,14 @@ each axis: an antialiased resize of a crop. The pose in the camera frame does no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.preprocessing import Interpolation, Preprocessing
 from ffpose.imaging.undistortion import undistort
@@ -60,13 +61,9 @@ def reproject(
         ValueError: The image's size differs from the source's, or it covers less than a pixel of
             the view, or the source has distortion.
     """
-    if isinstance(source, DistortedCamera):
-        raise ValueError(f"source: expected a camera without distortion, got {source}")
-    if image.size != (source.width, source.height):
-        raise ValueError(
-            f"image: expected {source.width}x{source.height}, the size of its camera, "
-            f"got {image.size[0]}x{image.size[1]}"
-        )
+    pinhole, size = not isinstance(source, DistortedCamera), (source.width, source.height)
+    expect(pinhole, "source", "a camera without distortion", source)
+    expect(image.size == size, "image", f"{size}, the size of its camera", image.size)
     support = SUPPORT[interpolation]
     across = _axis(source.width, source.fx, source.cx, view.width, view.fx, view.cx, support)
     down = _axis(source.height, source.fy, source.cy, view.height, view.fy, view.cy, support)
@@ -141,8 +138,7 @@ class Reprojection(Preprocessing):
     @classmethod
     def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:
         """Build the reprojection of images of ``source`` to the input of ``preprocessing``."""
-        kept = {each.name: getattr(preprocessing, each.name) for each in fields(Preprocessing)}
-        return cls(**kept, source=source, view=view)
+        return cls(**{**vars(preprocessing), "source": source, "view": view})
 
     def frame_size(self, width: int, height: int) -> tuple[int, int]:
         """Return ``(height, width)`` of the network's input, for any image."""
@@ -152,13 +148,9 @@ class Reprojection(Preprocessing):
         """Reproject an RGB image to the view ``(height, width, 3)``.
 
         Raises:
-            ValueError: The aspect ratio of the image differs from its camera's.
+            ValueError: As `expect_aspect`.
         """
-        if not self.source.has_aspect(*image.size):
-            raise ValueError(
-                f"image: expected the aspect ratio of its camera, {self.source}, "
-                f"got {image.size[0]}x{image.size[1]}"
-            )
+        expect_aspect(self.source, *image.size)
         source = self.source.resized(*image.size)
         if isinstance(source, DistortedCamera):
             image, source = undistort(image, source), source.pinhole
@@ -230,8 +222,8 @@ def agree(camera: Camera, other: Camera) -> bool:
 
     Distortion is none of them: images are undistorted, or not, as in training.
     """
-    pairs = zip(_pinhole(camera), _pinhole(other), strict=True)
-    return all(math.isclose(one, two, rel_tol=TOLERANCE) for one, two in pairs)
+    pinholes = (astuple(each)[: len(fields(Camera))] for each in (camera, other))
+    return all(math.isclose(*pair, rel_tol=TOLERANCE) for pair in zip(*pinholes, strict=True))
 
 
 def lens_of(camera: Camera) -> tuple[float, ...] | None:
@@ -239,10 +231,6 @@ def lens_of(camera: Camera) -> tuple[float, ...] | None:
     if isinstance(camera, DistortedCamera) and any(camera.distortion):
         return camera.distortion
     return None
-
-
-def _pinhole(camera: Camera) -> tuple[float, ...]:
-    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def expect_aspect(camera: Camera | None, width: int, height: int) -> None:

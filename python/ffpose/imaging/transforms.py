@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 from torchvision.transforms import v2
@@ -23,7 +23,13 @@ from ffpose._internal.cached import cached_property
 from ffpose.arrays import canonical_quaternion
 from ffpose.errors import expect
 from ffpose.geometry import Camera, FloatArray
-from ffpose.geometry.rotations import shortest_turn
+from ffpose.geometry.rotations import (
+    from_matrix,
+    from_rotation_vector,
+    multiply,
+    rotation_matrix,
+    shortest_turn,
+)
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.preprocessing import Preprocessing, Window
 
@@ -42,49 +48,23 @@ def random_window(preprocessing: Preprocessing, frame_size: tuple[int, int]) -> 
 def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
     """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, the scene's rotation in a rotating camera's frame.
 
-    Args:
-        pan: Angle about the camera's y axis, degrees; positive moves the scene to the right.
-        tilt: Angle about x, degrees; positive moves the scene up.
-        roll: Angle about z, the boresight, degrees; positive turns right to down.
-
-    Returns:
-        ``(3, 3)`` rotation matrix; a point p of the camera frame becomes ``rotation @ p``.
+    A point p of the camera frame becomes ``rotation @ p``. The angles are in degrees: a positive
+    ``pan`` moves the scene to the right, ``tilt`` up, and ``roll`` turns right to down.
     """
-    (cp, sp), (ct, st), (cr, sr) = (
-        (math.cos(angle), math.sin(angle)) for angle in map(math.radians, (pan, tilt, roll))
-    )
-    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    about_x = np.array([[1, 0, 0], [0, ct, -st], [0, st, ct]])
-    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-    turn: FloatArray = about_z @ about_x @ about_y
-    return turn
+    about_x, about_y, about_z = np.diag(np.radians([tilt, pan, roll]))
+    return rotation_matrix(reduce(multiply, map(from_rotation_vector, (about_z, about_x, about_y))))
 
 
-def crop_turn(camera: Camera, crop: Camera, view: Camera) -> FloatArray:
-    """Return the rotation of the camera that a crop stands for.
+def crop_turn(crop: Camera, view: Camera) -> FloatArray:
+    """Return the rotation ``(3, 3)`` of the camera that a crop stands for, the least one.
 
     A crop is seen by a camera with another principal point, which a network for one camera cannot
     know. The camera that turns, so that the ray through the crop's center takes the place of the
     ray through the view's, shows about the same part of the image with the intrinsics of the view.
-
-    Args:
-        camera: Camera of the image without distortion.
-        crop: Camera of the crop (`Camera.cropped`).
-        view: Camera of the network's input, of the crop's size.
-
-    Returns:
-        ``(3, 3)``, the least rotation, for `turn_camera`.
+    Neither has distortion, and ``view``, of the network's input, has the crop's size.
     """
-    left, top = camera.cx - crop.cx, camera.cy - crop.cy
-    seen = np.array([left + crop.width / 2 - camera.cx, top + crop.height / 2 - camera.cy])
-    wanted = np.array([view.width / 2 - view.cx, view.height / 2 - view.cy])
-    rays = [np.append(p / f, 1.0) for p, f in ((seen, _focal(camera)), (wanted, _focal(view)))]
-    a, b = (ray / np.linalg.norm(ray) for ray in rays)
-    return shortest_turn(a, b)
-
-
-def _focal(camera: Camera) -> FloatArray:
-    return np.array([camera.fx, camera.fy])
+    rays = (np.linalg.inv(c.matrix) @ (c.width / 2, c.height / 2, 1) for c in (crop, view))
+    return shortest_turn(*(ray / np.linalg.norm(ray) for ray in rays))
 
 
 def turn_camera(
@@ -118,28 +98,20 @@ def turn_camera(
     Raises:
         ValueError: The size of the image is not the camera's, or R is not a rotation matrix.
     """
-    if image.shape[-2:] != (camera.height, camera.width):
-        raise ValueError(
-            f"image: expected the camera's (height, width) {(camera.height, camera.width)}, "
-            f"got {tuple(image.shape[-2:])}"
-        )
+    size, got = (camera.height, camera.width), tuple(image.shape[-2:])
+    expect(got == size, "image", f"the camera's (height, width) {size}", got)
     if rotation.shape != (3, 3) or not (
         np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
     ):
         raise ValueError(f"rotation: expected a rotation matrix (3, 3), got {rotation.tolist()}")
-    turn = torch.from_numpy(rotation)
-    turned = roma.quat_xyzw_to_wxyz(
-        roma.quat_product(
-            roma.rotmat_to_unitquat(turn), roma.quat_wxyz_to_xyzw(orientation.double())
-        )
-    )
+    turned = canonical_quaternion(multiply(from_matrix(rotation), orientation.double().numpy()))
     seen = camera if view is None else view
     source = torch.from_numpy(camera.matrix @ rotation.T @ np.linalg.inv(seen.matrix)).float()
     planes = source_planes(source[None], pixel_centers(seen.height, seen.width))
     return (
         sample_planes(image[None], *planes)[0],
-        (turn @ translation.double()).to(translation.dtype),
-        torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
+        (torch.from_numpy(rotation) @ translation.double()).to(translation.dtype),
+        torch.from_numpy(turned).to(orientation.dtype),
     )
 
 
@@ -216,16 +188,9 @@ class Augmentation:
     def __call__(
         self, image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Augment an image, and transform its label where the camera rotates.
+        """Augment an image in [0, 1], and transform its label where the camera rotates.
 
-        Args:
-            image: ``(3, h, w)`` in [0, 1].
-            translation: ``(3,)``, meters.
-            orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
-            camera: The camera of this image; its size is the image's.
-
-        Returns:
-            Image in [0, 1], translation and orientation, of the same shapes.
+        Arguments and what is returned are as of `turn_camera`.
         """
         rotation = self._draw_turn(translation, camera)
         if rotation is not None:
@@ -272,7 +237,7 @@ def _blur(image: Tensor, sigma: float) -> Tensor:
     """
     if sigma < 0.1:
         return image
-    reach = math.ceil(3 * sigma)
+    reach = min(math.ceil(3 * sigma), min(image.shape[1:]) - 1)  # what is left to reflect
     taps = [math.exp(-0.5 * (step / sigma) ** 2) for step in range(-reach, reach + 1)]
     for axis, margins in ((1, (0, 0, reach, reach)), (2, (reach, reach, 0, 0))):
         padded = torch.nn.functional.pad(image, margins, mode="reflect")

@@ -17,7 +17,7 @@ from functools import partial
 from typing import get_args
 
 from ffpose.errors import expect
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera
 from ffpose.imaging.patches import Bytes, Content, Patches, PatchSpec, extract_patches, in_frame
 from ffpose.render.layers import object_coordinates
 from ffpose.render.processes import in_processes
@@ -52,7 +52,7 @@ def render_patches(
     camera = spec.level_camera(halved)
     shot = shoot(scene, seed, index, camera, scene.sensor, empty=empty, side=2**halved)
 
-    def coordinates(pose: Pose, half: Camera) -> Bytes:
+    def coordinates(half: Camera) -> Bytes:
         window = spec.window_camera(pose.t, level)
         inside = in_frame(window, spec.level_camera(level))
         seen = object_coordinates(scene.build(), pose, half)

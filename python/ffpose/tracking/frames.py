@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from ffpose.datasets.csv_set import camera_file, has_pose
 from ffpose.datasets.parsing import Names, read_table
-from ffpose.errors import DataError
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Pose
 from ffpose.imaging.images import SUFFIXES
 
@@ -44,16 +43,10 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
     if not path.is_file():
         hint = "" if times else ", or another file as --times"
         raise FileNotFoundError(f"times: expected {path}{hint}, got no such file")
-    header, entries = read_table(path)
-    posed = any(name in header for name in POSE_COLUMNS)
-    required = {"image", "time", *(POSE_COLUMNS if posed else ())}
-    if set(header) - {"camera"} != required:
-        expected = f"expected the columns image, time and perhaps {', '.join(POSE_COLUMNS)}"
-        raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
     names, frames = Names(), list[Frame]()
-    for entry in entries:
+    for entry in read_table(path, ("image", "time"), POSE_COLUMNS, ("camera",)):
         image = folder / names.add(entry, entry.text("image"))
-        if "camera" in header and camera_file(folder, entry) != folder / CAMERA_FILE:
+        if "camera" in entry.values and camera_file(folder, entry) != folder / CAMERA_FILE:
             expected = f"{CAMERA_FILE} in each row, as a track is of one camera"
             got = f"{entry.text('camera')}: copy it to {CAMERA_FILE}, and leave the column out"
             raise entry.error(f"camera: expected {expected}, got {got}")
@@ -62,7 +55,7 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
             before = frames[-1].time
             raise entry.error(f"time: expected later than {before} s, the row before, got {time} s")
         pose = None
-        if posed and has_pose(entry):
+        if has_pose(entry):
             values = entry.parsed(POSE_COLUMNS)
             pose = entry.made(Pose, values[:3], values[3:])
         frames.append(Frame(image, time, pose))

@@ -6,7 +6,7 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 from ffpose._internal.seeds import CALIBRATION, matching
-from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
+from ffpose.datasets import Decoding, PoseDataset, read_records
 from ffpose.datasets.records import expect_in_front
 from ffpose.datasets.scenes import open_frames, open_strangers
 from ffpose.imaging.patches import Bytes
@@ -85,9 +85,8 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
         "step": config.step,
         "count": len(chosen),
     }
-    target = find_target(config.kind)
-    expect_in_front(chosen, target)
-    return CalibrationSet(config, [about], PoseDataset(chosen, preprocessing, target=target))
+    expect_in_front(chosen)
+    return CalibrationSet(config, [about], PoseDataset(chosen, preprocessing))
 
 
 def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:

@@ -13,7 +13,6 @@ from ffpose.config import NetworkConfig, PolarPoseConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
     PoseDataset,
-    find_target,
     list_splits,
     read_records,
 )
@@ -132,10 +131,9 @@ def _open_splits(
     if calibrated:
         val = val[::2]
     augmentation = _augmentation(config)
-    target, cache = find_target(kind), config.cache
-    expect_in_front([*train, *val], target)
-    train_set = PoseDataset(train, preprocessing, augmentation, cache, target)
-    val_set = PoseDataset(val, preprocessing, None, cache, target)
+    expect_in_front([*train, *val])
+    train_set = PoseDataset(train, preprocessing, augmentation, config.cache)
+    val_set = PoseDataset(val, preprocessing, None, config.cache)
     trained, validated = train_set.camera, val_set.camera
     if trained is not None and (
         validated is None or not agree(*map(preprocessing.camera, (trained, validated)))

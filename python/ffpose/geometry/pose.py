@@ -1,19 +1,17 @@
-"""Cameras and poses, in the conventions of `ffpose.geometry`."""
+"""Poses and their uncertainty, in the conventions of `ffpose.geometry`."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose._internal import urso
-from ffpose._internal.files import read_json, shortened, write_json
 from ffpose.arrays import canonical_quaternion
-from ffpose.errors import DataError, expect
+from ffpose.errors import expect
+from ffpose.geometry.camera import Camera
 from ffpose.geometry.rotations import (
     FloatArray,
     real_array,
@@ -21,206 +19,11 @@ from ffpose.geometry.rotations import (
     unit_quaternion,
 )
 
-CAMERA_FILE = "camera.json"
-"""Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
-
 POSE_COLUMNS = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
 """Names of a pose's numbers in tables: translation in meters, and quaternion."""
 
 Target = Literal["object", "camera"]
 """What labels and networks locate: the object in the camera frame, or the camera in the world."""
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """A pinhole camera without distortion, in continuous pixel coordinates.
-
-    Attributes:
-        width: Image width in pixels.
-        height: Image height in pixels.
-        fx: Focal length along u, in pixels.
-        fy: Focal length along v, in pixels.
-        cx: u coordinate of the principal point.
-        cy: v coordinate of the principal point.
-
-    Raises:
-        ValueError: The size is not of positive whole numbers, a number is not finite, or a focal
-            length is not positive.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-    def __post_init__(self) -> None:
-        size = self.width, self.height
-        if not all(each >= 1 and float(each).is_integer() for each in size):
-            got = f"{self.width}x{self.height}"
-            raise ValueError(f"camera: expected a positive size in whole pixels, got {got}")
-        for name in ("width", "height", "fx", "fy", "cx", "cy"):  # NumPy's numbers are none of JSON
-            kind = int if name in ("width", "height") else float
-            object.__setattr__(self, name, kind(getattr(self, name)))
-        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))):
-            raise ValueError(f"camera: expected finite intrinsics, got {self}")
-        if self.fx <= 0 or self.fy <= 0:
-            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.fx}, {self.fy}")
-
-    @staticmethod
-    def read(path: str | Path) -> Camera:
-        """Read a camera from a JSON file whose keys are the attributes.
-
-        With a key ``distortion``, five numbers, the camera is a `DistortedCamera`. Width and height
-        may be written with a fraction of zero, as ``640.0``.
-
-        Raises:
-            FileNotFoundError: The file does not exist.
-            DataError: The file is not JSON, lacks a key or has another or one twice, or the values
-                are not a valid camera, among them a width or height of 2⁵³ or more.
-        """
-        values = read_json(Path(path))
-        names = [field.name for field in fields(Camera)]
-        expected = f"expected the keys {', '.join(names)}, and distortion of a lens that has it"
-        if not isinstance(values, dict):
-            raise DataError(f"{expected}; got {shortened(values)}", path)
-        if missing := [name for name in names if name not in values]:
-            raise DataError(f"{expected}; got none of the name {', '.join(missing)}", path)
-        if unknown := [name for name in values if name not in (*names, "distortion")]:
-            raise DataError(f"{expected}; got {', '.join(map(shortened, unknown))} too", path)
-        for name in names:
-            value, whole = values[name], name in ("width", "height")
-            if whole and type(value) is float and value.is_integer():
-                value = values[name] = int(value)
-            if type(value) not in ((int,) if whole else (int, float)):
-                kind = "a whole number" if whole else "a number"
-                raise DataError(f"{name}: expected {kind}, got {shortened(value)}", path)
-            if whole and value >= 2**53:  # above, not every whole number is a float
-                raise DataError(f"{name}: expected less than 2⁵³, got {shortened(value)}", path)
-        lens = values.get("distortion", [])
-        if not isinstance(lens, list) or any(type(part) not in (int, float) for part in lens):
-            raise DataError(f"distortion: expected five numbers, got {shortened(lens)}", path)
-        try:
-            if "distortion" in values:
-                values["distortion"] = tuple(map(float, lens))
-            return DistortedCamera(**values) if "distortion" in values else Camera(**values)
-        except OverflowError as error:  # an integer of hundreds of digits
-            raise DataError(f"expected finite numbers: {error}", path) from error
-        except (TypeError, ValueError) as error:
-            raise DataError(str(error), path) from error
-
-    def write(self, path: str | Path) -> None:
-        """Write the camera as `read` takes it."""
-        write_json(path, asdict(self), 1)
-
-    @property
-    def matrix(self) -> FloatArray:
-        """Calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
-    def has_aspect(self, width: int, height: int) -> bool:
-        """Return whether ``width`` x ``height`` has the aspect ratio of this camera's images."""
-        return width * self.height == height * self.width
-
-    def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of this camera's image resized to ``width`` x ``height``."""
-        x, y = width / self.width, height / self.height
-        fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
-        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-
-    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the camera of a crop whose top left corner is the pixel (left, top)."""
-        cx, cy = self.cx - left, self.cy - top
-        return replace(self, width=width, height=height, cx=cx, cy=cy)
-
-    def project(self, points: ArrayLike) -> FloatArray:
-        """Project points of the camera frame onto the image.
-
-        Args:
-            points: ``(..., 3)``, meters.
-
-        Returns:
-            Pixels ``(..., 2)``, float64, which may lie outside the image; NaN for a point that is
-            not in front of the camera (z <= 0).
-
-        Raises:
-            TypeError: The values are not real numbers.
-            ValueError: Wrong shape, or a value that is not finite.
-        """
-        p = real_array("points", points, 3)
-        depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-        return self.distort(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
-
-    def distort(self, rays: FloatArray) -> FloatArray:
-        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``: a pinhole, as they are."""
-        return rays
-
-
-GRID = 33
-"""Points along each side of the image at which a distortion is checked."""
-
-
-@dataclass(frozen=True, slots=True)
-class DistortedCamera(Camera):
-    """A camera whose lens distorts, in OpenCV's model of radial and tangential distortion.
-
-    A ray ``(x, y)``, ``r² = x² + y²``, is seen where a pinhole sees ``x' = x d + 2 p1 x y +
-    p2 (r² + 2 x²)``, ``y' = y d + p1 (r² + 2 y²) + 2 p2 x y``, ``d = 1 + k1 r² + k2 r⁴ + k3 r⁶``.
-    The polynomial was fitted to the image: far outside, it may bend points back into view.
-
-    Attributes:
-        distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV, whose shapes ``(1, 5)`` and
-            ``(5, 1)`` are taken too.
-
-    Raises:
-        ValueError: Two parts of the undistorted image would be seen at the same pixels.
-    """
-
-    distortion: tuple[float, float, float, float, float]
-
-    def __post_init__(self) -> None:
-        Camera.__post_init__(self)
-        values = real_array("distortion", np.ravel(self.distortion), 5).tolist()
-        object.__setattr__(self, "distortion", tuple(values))
-        self._check_folds()
-
-    def _check_folds(self) -> None:
-        """Check that no cell of a grid of the pinhole's pixels is turned over into the image."""
-        size = np.array((self.width, self.height))
-        shares = np.linspace(0, 1, GRID)
-        pixels = np.stack(np.meshgrid(shares, shares), axis=-1) * size
-        focal, center = (self.fx, self.fy), (self.cx, self.cy)
-        seen = self.distort((pixels - center) / focal) * focal + center
-        right, down = (np.diff(seen, axis=axis) for axis in (1, 0))
-        right, down = right[:-1], down[:, :-1]
-        turned = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0] <= 0
-        corners = seen[:-1, :-1]
-        within = ((corners >= 0) & (corners <= size)).all(axis=-1)
-        if np.any(turned & within):
-            raise ValueError(
-                "distortion: expected different pixels for different rays of the image, got"
-                f" {self.distortion}, which folds it"
-            )
-
-    @property
-    def pinhole(self) -> Camera:
-        """The camera of this camera's undistorted images: the same without the lens."""
-        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
-
-    def distort(self, rays: FloatArray) -> FloatArray:
-        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = rays[..., 0], rays[..., 1]
-        square = x * x + y * y
-        radial = 1 + square * (k1 + square * (k2 + square * k3))
-        u = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
-        v = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-        return np.stack([u, v], axis=-1)
-
-
-URSO_CAMERA = Camera(*urso.SIZE, *urso.FOCAL_LENGTHS, *urso.CENTER)
-"""The camera of URSO's published image sets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,13 +68,13 @@ class PoseUncertainty:
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
         expect(0 <= self.in_view <= 1, "in_view", "a probability", self.in_view)
-        if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
-            got = self.in_view_threshold
-            raise ValueError(f"in_view_threshold: expected a probability, got {got}")
+        threshold = self.in_view_threshold
+        usable = threshold is None or 0 <= threshold <= 1
+        expect(usable, "in_view_threshold", "a probability", threshold)
         degrees = self.degrees_of_freedom or ()
         expect(all(n > 2 for n in degrees), "degrees_of_freedom", "above 2 each", degrees)
-        if not all(0 <= p <= 1 for p in self.probabilities):
-            raise ValueError(f"probabilities: expected in 0…1, got {self.probabilities}")
+        shares = self.probabilities
+        expect(all(0 <= p <= 1 for p in shares), "probabilities", "in 0…1", shares)
         if self.alternative is not None:
             q = canonical_quaternion(unit_quaternion(self.alternative))
             expect(q.shape == (4,), "alternative", "shape (4,)", q.shape)
@@ -361,21 +164,16 @@ class Pose:
     def from_urso(
         cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
     ) -> Pose:
-        """Build a pose from a row of URSO's labels, of a left-handed camera frame (y up).
+        """Build a pose from a row of URSO's labels, of a left-handed camera frame.
 
-        Args:
-            x: To the right, meters.
-            y: Up, meters.
-            z: Depth, meters.
-            q1: First of the vector part of URSO's quaternion, which is JPL's.
-            q2: Second of it.
-            q3: Third of it.
-            q4: Scalar part.
+        In meters ``x`` is to the right, ``y`` up and ``z`` the depth; the quaternion ``q1`` ...
+        ``q4`` is JPL's, its scalar last.
 
         Raises:
             ValueError: A number is not finite, or the quaternion's norm is not one.
 
         Examples:
+            >>> from ffpose.geometry import URSO_CAMERA
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
             >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
             [768.0, 415.95]
