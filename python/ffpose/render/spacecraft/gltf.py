@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.errors import DataError, MissingExtraError, require
+from ffpose.errors import DataError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import LEFT_OUT, READ, Materials
 from ffpose.render.spacecraft.gltftransforms import (
@@ -32,7 +32,7 @@ from ffpose.render.spacecraft.gltftransforms import (
     turned,
 )
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
-from ffpose.render.spacecraft.parts import Part, check_shape, used_vertices
+from ffpose.render.spacecraft.parts import Part, check_shape, unit_normals, used_vertices
 
 Header = dict[str, Any]
 
@@ -98,16 +98,6 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
             refers to a file that is missing or cannot be used.
         MissingExtraError: The file is compressed and the library that reads it is not installed.
     """
-    try:
-        return _read(content, assets, most_faces)
-    except (DataError, MissingExtraError):
-        raise
-    except Exception as error:  # a broken file has anything in place of what is expected
-        text = f"expected a glTF document, got {one_line(error)}"
-        raise DataError(text, assets.source) from error
-
-
-def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document = _Document(content, assets)
     placed = document.placed(most_faces)
     drawn = sorted({item.key for item in placed})
@@ -142,10 +132,7 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
     faces = faces + len(points) * np.arange(item.copies)[:, None, None]
     normals = shape.get("NORMAL")
     if normals is not None:
-        normals = turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
-        normals = normals.astype(np.float32)
+        normals = unit_normals(turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3))
     colors = shape.get("COLOR_0")
     if colors is not None:
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
@@ -162,7 +149,6 @@ class _Document:
     def __init__(self, content: bytes, assets: Assets) -> None:
         self.header, self._chunk = _split(content)
         check_numbers(self.header, KNOWN_EXTENSIONS, assets.source)
-        self.source = assets.source
         self._assets = assets
         self._buffers: dict[int, bytes] = {}
         self._views: dict[int, bytes] = {}
@@ -171,12 +157,12 @@ class _Document:
         else:
             version = str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
-            raise DataError(f"expected glTF 2.0, got {version}", assets.source)
+            raise DataError(f"expected glTF 2.0, got {version}")
         needed = [str(name) for name in self.header.get("extensionsRequired", [])]
         unknown = [name for name in needed if name not in KNOWN_EXTENSIONS]
         if unknown:
             text = f"expected glTF extensions that are known, got one that needs {unknown[0]}"
-            raise DataError(text, assets.source)
+            raise DataError(text)
 
     def placed(self, most_faces: int) -> list[Placed]:
         """Return the primitives of the default scene that have faces, from its roots (section 3.5).
@@ -213,12 +199,12 @@ class _Document:
     def check_count(self, count: int, most: int, what: str) -> None:
         """Raise a DataError if there is more of something than there may be."""
         if count > most:
-            raise DataError(f"expected at most {most} {what}, got {count}", self.source)
+            raise DataError(f"expected at most {most} {what}, got {count}")
 
     def _finite(self, places: Floats) -> Floats:
         """Return places (N, 4, 4), which must be finite."""
         if not np.isfinite(places).all():
-            raise DataError("expected finite places of meshes, got NaN or infinity", self.source)
+            raise DataError("expected finite places of meshes, got NaN or infinity")
         return places
 
     def _places(self) -> tuple[dict[int, Floats], set[int]]:
@@ -231,7 +217,7 @@ class _Document:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [number for number in range(len(nodes)) if number not in children]
             if nodes and not roots:
-                raise DataError("expected a tree of nodes, got a cycle", self.source)
+                raise DataError("expected a tree of nodes, got a cycle")
         stack = [(number, np.eye(4), False) for number in reversed(roots)]
         places: dict[int, Floats] = {}
         hidden: set[int] = set()
@@ -239,7 +225,7 @@ class _Document:
             number, above, unseen = stack.pop()
             if number in places:
                 text = f"expected a tree of nodes, got node {number} in a cycle or twice"
-                raise DataError(text, self.source)
+                raise DataError(text)
             node = nodes[number]
             shown = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
             if unseen or not shown:
@@ -255,14 +241,14 @@ class _Document:
         missing = [joint for joint in skin["joints"] if joint not in places]
         if missing:
             text = f"expected joints of skin {number} in the scene, got node {missing[0]}"
-            raise DataError(f"{text}, which is not", self.source)
+            raise DataError(f"{text}, which is not")
         joints = np.stack([places[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" not in skin:
             return joints
         columns = self.values(skin["inverseBindMatrices"])[: len(joints)]
         if len(columns) < len(joints):
             text = f"expected {len(joints)} bind matrices of skin {number}, got {len(columns)}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         return joints @ columns.astype(np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
 
     def primitive(self, key: Key) -> Header:
@@ -302,7 +288,7 @@ class _Document:
         targets = self.primitive(key).get("targets", [])
         if key.weights and targets and len(key.weights) != len(targets):
             text = f"expected weights of {len(targets)} morph targets, got {len(key.weights)}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         pairs = zip(key.weights, targets, strict=False)
         return [(float(weight), each) for weight, each in pairs if weight != 0]
 
@@ -321,7 +307,7 @@ class _Document:
         for name, values in shape.items():
             if len(values) != len(shape["POSITION"]):
                 text = f"expected {len(shape['POSITION'])} values of {name}, got {len(values)}"
-                raise DataError(text, self.source)
+                raise DataError(text)
         for weight, target in self._targets(key):
             for name in shape.keys() & target.keys():
                 if name.startswith(("JOINTS_", "WEIGHTS_")):
@@ -329,7 +315,7 @@ class _Document:
                 deltas = self.values(target[name])
                 if len(deltas) != len(shape[name]):
                     text = f"expected {len(shape[name])} values of {name} in a morph target"
-                    raise DataError(f"{text}, got {len(deltas)}", self.source)
+                    raise DataError(f"{text}, got {len(deltas)}")
                 shape[name] = morphed(name, shape[name], deltas, weight)
         points = shape["POSITION"]
         if "faces" in packed:
@@ -340,9 +326,9 @@ class _Document:
                 order = self.values(primitive["indices"])[:, 0]
             if primitive.get("mode", TRIANGLES) == TRIANGLES and len(order) % CORNERS:
                 text = f"expected triangles of {CORNERS} corners, got {len(order)} corners"
-                raise DataError(text, self.source)
+                raise DataError(text)
             faces = _triangles(order, primitive.get("mode", TRIANGLES))
-        check_shape(points, faces, self.source)
+        check_shape(points, faces)
         used, faces = used_vertices(faces, len(points))
         return {name: values[used] for name, values in shape.items()} | {"faces": faces}
 
@@ -364,7 +350,7 @@ class _Document:
         except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
             name = self.header["meshes"][mesh].get("name", mesh)
             text = f"expected Draco data of mesh {name!r} that can be decoded"
-            raise DataError(f"{text}, got {one_line(error)}", self.source) from error
+            raise DataError(f"{text}, got {one_line(error)}") from error
 
     def _narrowed(self, values: NDArray[Any], accessor: int) -> NDArray[Any]:
         """Return whole numbers that Draco decoded in the type that they have without it.
@@ -381,7 +367,7 @@ class _Document:
             content = self.resource(entry["uri"]) if "uri" in entry else self._chunk
             if len(content) < entry["byteLength"]:
                 text = f"expected a buffer of {entry['byteLength']} bytes, got {len(content)}"
-                raise DataError(text, self.source)
+                raise DataError(text)
             self._buffers[number] = content
         return self._buffers[number]
 
@@ -408,7 +394,7 @@ class _Document:
         content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
         if len(content) < view["byteLength"]:
             text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         return content
 
     def _unpacked(self, packed: Header, length: int) -> bytes:
@@ -417,10 +403,10 @@ class _Document:
         count, stride = packed["count"], packed["byteStride"]
         if count * stride != length:
             text = f"expected {length} bytes in a compressed buffer, got {count} times {stride}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         if length > MAX_BYTES:
             text = f"expected at most {MAX_BYTES} bytes in a compressed buffer, got {length}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         content, kind = self._slice(packed), packed.get("filter")
         found: bytes = meshopt.decode_gltf_buffer(
             content, count, stride, packed["mode"], kind
@@ -463,7 +449,7 @@ class _Document:
         if len(counts) > 1:
             text = "expected as many values of each attribute of a mesh's copies"
             got = " and ".join(map(str, sorted(counts)))
-            raise DataError(f"{text}, got {got}", self.source)
+            raise DataError(f"{text}, got {got}")
         return int(counts.pop()) if counts else 1
 
     def _instances(self, node: Header) -> Floats:

@@ -78,7 +78,6 @@ class Materials:
     ) -> None:
         self._header = header
         self._image_bytes = image_bytes
-        self._path = path
         self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
         materials = [
             header["materials"][number]
@@ -86,7 +85,7 @@ class Materials:
         ]
         slots = [slot for material in materials for slot in _maps(material).values()]
         keys = [key for slot, convert in slots if (key := self._key(slot, convert)) is not None]
-        self._pyramids = Pyramids(keys, self._opened, path)
+        self._pyramids = Pyramids(keys, self._opened)
         left_out = sorted({name for material in materials for name in _left_out(material)})
         if left_out:
             logger.warning(
@@ -188,11 +187,11 @@ class Materials:
         content, name = self._image_bytes(number)
         if content.startswith(KTX2):
             raise self._in_ktx2(f"image {name}")
-        return open_image(content, self._path, name)
+        return open_image(content, name)
 
     def _in_ktx2(self, what: str) -> DataError:
         text = f"expected textures of PNG, JPEG or WebP, got {what} in KTX2 (KHR_texture_basisu)"
-        return DataError(f"{text} alone: convert it to one of those", self._path)
+        return DataError(f"{text} alone: convert it to one of those")
 
 
 def _left_out(material: Header) -> Iterator[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from ffpose.errors import DataError
@@ -39,8 +38,8 @@ class Pyramids:
     its pixels are gone when its pyramid is made.
     """
 
-    def __init__(self, keys: Iterable[Key], opened: Callable[[Any], Any], path: Path) -> None:
-        self._opened, self._path = opened, path
+    def __init__(self, keys: Iterable[Key], opened: Callable[[Any], Any]) -> None:
+        self._opened = opened
         self._made: dict[Key, Pyramid] = {}
         wanted = dict.fromkeys(keys)
         sizes = {image: opened(image).size for image in dict.fromkeys(key.image for key in wanted)}
@@ -59,4 +58,4 @@ class Pyramids:
             return build_pyramid(image, key.convert, min(most, self._most), key.wrap)
         except (OSError, SyntaxError, ValueError) as error:
             text = f"expected texture {key.image!r} that can be decoded, got {one_line(error)}"
-            raise DataError(text, self._path) from error
+            raise DataError(text) from error
