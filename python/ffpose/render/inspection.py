@@ -116,11 +116,10 @@ def find_doubts(craft: Craft, *, y_up: bool = False) -> list[str]:
 
 def _measured(craft: Craft) -> dict[str, Any]:
     """Return what `inspect_mesh` measures."""
-    vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
-    center, radius = bounding_sphere(vertices)
+    center, radius = bounding_sphere(craft.corners)
     inside, disk = _shares_seen(craft, center, radius)
     return {
-        "size_m": np.ptp(vertices, axis=0).tolist(),
+        "size_m": np.ptp(craft.corners, axis=0).tolist(),
         "triangles": len(craft.mesh.faces),
         "materials": [_material(craft, number) for number in range(len(craft.materials))],
         "center_m": center.tolist(),
@@ -133,7 +132,7 @@ def _measured(craft: Craft) -> dict[str, Any]:
 
 def view_sheet(craft: Craft) -> Image.Image:
     """Draw a spacecraft from twelve sides, with its axes and a meter bar."""
-    center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
+    center, radius = bounding_sphere(craft.corners)
     return tiled([_tile(craft, name, center, radius) for name in DIRECTIONS], COLUMNS)
 
 

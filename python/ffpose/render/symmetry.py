@@ -128,7 +128,7 @@ def find_symmetries(craft: Craft) -> Symmetries:
     center = area @ points / area.sum()
     spread = (points - center) * np.sqrt(area / area.sum())[:, None]
     moments = spread.T @ spread
-    reach = np.linalg.norm(craft.mesh.vertices[np.unique(craft.mesh.faces)] - center, axis=1).max()
+    reach = np.linalg.norm(craft.corners - center, axis=1).max()
     if np.linalg.eigvalsh(moments)[0] < (1e-4 * reach) ** 2:
         raise ValueError(
             "mesh: expected a spacecraft of some depth, got one that is flat, of which nothing is"

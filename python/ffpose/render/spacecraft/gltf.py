@@ -224,8 +224,7 @@ class _Document:
         while stack:
             number, above, unseen = stack.pop()
             if number in places:
-                text = f"expected a tree of nodes, got node {number} in a cycle or twice"
-                raise DataError(text)
+                raise DataError(f"expected a tree of nodes, got node {number} in a cycle or twice")
             node = nodes[number]
             shown = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
             if unseen or not shown:
@@ -393,8 +392,7 @@ class _Document:
         start = view.get("byteOffset", 0)
         content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
         if len(content) < view["byteLength"]:
-            text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
-            raise DataError(text)
+            raise DataError(f"expected {view['byteLength']} bytes of a buffer, got {len(content)}")
         return content
 
     def _unpacked(self, packed: Header, length: int) -> bytes:

@@ -19,8 +19,16 @@ from numpy.typing import NDArray
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import open_image
-from ffpose.render.spacecraft.pyramids import Key, Pyramids
-from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, Convert, Source, linear
+from ffpose.render.spacecraft.textures import (
+    CLAMP,
+    MIRROR,
+    REPEAT,
+    Convert,
+    Key,
+    Pyramids,
+    Source,
+    linear,
+)
 
 logger = logging.getLogger(__name__)
 

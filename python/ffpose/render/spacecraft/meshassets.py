@@ -50,8 +50,7 @@ class Assets:
         """
         path = self._find(name)
         if path is None:
-            text = f"expected {name!r}, which it refers to, got no such file{missing}"
-            raise DataError(text)
+            raise DataError(f"expected {name!r}, which it refers to, got no such file{missing}")
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise DataError(f"expected at most {MAX_BYTES} bytes, got {size}", path)
@@ -95,8 +94,7 @@ class Assets:
                         return path
                     outside = True
         if outside:
-            text = f"expected files in its folder, got {name!r}, which is outside"
-            raise DataError(text)
+            raise DataError(f"expected files in its folder, got {name!r}, which is outside")
         return None
 
 

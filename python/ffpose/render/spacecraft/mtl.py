@@ -20,8 +20,7 @@ from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, 
 from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, open_image
 from ffpose.render.spacecraft.parts import GRAY, ROUGHNESS
-from ffpose.render.spacecraft.pyramids import Key, Pyramids
-from ffpose.render.spacecraft.textures import CLAMP, REPEAT, Source, linear
+from ffpose.render.spacecraft.textures import CLAMP, REPEAT, Key, Pyramids, Source, linear
 
 logger = logging.getLogger(__name__)
 
@@ -192,8 +191,7 @@ def _finite(key: str, words: list[str]) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (1, 3):
-        text = f"expected numbers after {key} of a material, got {' '.join(words)!r}"
-        raise DataError(text)
+        raise DataError(f"expected numbers after {key} of a material, got {' '.join(words)!r}")
     return numbers
 
 

@@ -113,5 +113,4 @@ def check_shape(points: NDArray[np.float64], faces: NDArray[Any]) -> None:
     check_finite(points)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
         got = f"{faces.min()}…{faces.max()}"
-        text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
-        raise DataError(text)
+        raise DataError(f"expected faces that name vertices 0…{len(points) - 1}, got {got}")

@@ -96,18 +96,20 @@ def read_ply(content: bytes, assets: Assets) -> list[Part]:
 def _elements(lines: list[list[str]]) -> list[Element]:
     """Return the elements that a head states."""
     elements = list[Element]()
-    for words in lines:
-        if words[:1] == ["element"]:
-            elements.append(Element(words[1], int(words[2]), []))
-            if elements[-1].rows < 0:
-                raise DataError(f"expected at least 0 rows, got {elements[-1].rows}")
-        elif words[:1] == ["property"]:
-            *length, kind = words[2:4] if words[1] == "list" else words[1:2]
-            if unknown := {*length, kind} - CODES.keys():
-                raise DataError(f"expected a type of PLY files, got {unknown.pop()}")
-            codes = CODES[kind], *(CODES[each] for each in length)
-            elements[-1].properties.append(Property(words[-1], *codes))
-    return elements
+    for number, words in enumerate(lines, 1):
+        try:
+            if words[:1] == ["element"]:
+                elements.append(Element(words[1], int(words[2]), []))
+            elif words[:1] == ["property"]:
+                *length, kind = words[2:4] if words[1] == "list" else words[1:2]
+                its = Property(words[-1], CODES[kind], *(CODES[each] for each in length))
+                elements[-1].properties.append(its)
+        except KeyError as unknown:
+            raise DataError(f"expected a type of PLY files, got {unknown.args[0]}") from None
+        except (IndexError, ValueError):
+            text = "expected a line as 'element vertex 8' or 'property float x', got"
+            raise DataError(f"{text} {' '.join(words)!r}", line=number) from None
+    return [each for each in elements if each.properties]
 
 
 def _packed(body: bytes, elements: list[Element], line: int) -> bytes:

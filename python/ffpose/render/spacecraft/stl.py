@@ -51,7 +51,10 @@ def read_stl(content: bytes) -> list[Part]:
     elif (solid := _solid(content)) is not None:
         if b"outer loop" in solid.lower().rpartition(b"endsolid")[2]:
             raise DataError("expected endsolid, got none: the file is cut short")
-        points = np.array(VERTEX.findall(SOLID.sub(b"", solid)), np.bytes_).astype(np.float64)
+        found = VERTEX.findall(SOLID.sub(b"", solid))
+        if len(found) % 3:
+            raise DataError(f"expected three vertices of each triangle, got {len(found)} vertices")
+        points = np.array(found, np.bytes_).astype(np.float64)
     else:
         raise _other_size(len(content), stated)
     vertices = points.reshape(-1, 3).astype(np.float64)
