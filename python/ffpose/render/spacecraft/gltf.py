@@ -120,26 +120,24 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
     material, sources = materials.get(number)
     points, layers = shape["POSITION"], []
     for source in sources:
-        coordinates = shape.get(f"TEXCOORD_{source.set}")
-        if coordinates is None:
-            coordinates = np.zeros((len(points), 2), np.float32)
+        coordinates = shape.get(f"TEXCOORD_{source.set}", np.zeros((len(points), 2), np.float32))
         layers.append(np.tile(source.transformed(coordinates), (item.copies, 1)))
     places = blended(shape, item.places)[None] if item.skinned else item.places[:, None]
     turns = places[..., :3, :3]
     vertices = turned(points, turns) + places[..., :3, 3]
-    mirrored = np.median(np.linalg.det(turns), axis=1) < 0
-    faces = np.where(mirrored[:, None, None], shape["faces"][:, ::-1], shape["faces"])
+    mirrored = np.median(np.linalg.det(turns), axis=1)[:, None, None] < 0
+    faces = np.where(mirrored, shape["faces"][:, ::-1], shape["faces"])
     faces = faces + len(points) * np.arange(item.copies)[:, None, None]
     normals = shape.get("NORMAL")
     if normals is not None:
         normals = unit_normals(turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3))
     colors = shape.get("COLOR_0")
-    if colors is not None:
+    if colors is not None:  # within 0…1 once all morph targets have moved them (section 3.7.2.1)
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
-        colors = np.tile(colors, (item.copies, 1))
+        colors = np.tile(np.nan_to_num(colors).clip(0, 1), (item.copies, 1))
         if materials.opaque(number):
             colors[:, 3] = 1
-    faces, vertices = faces.reshape(-1, CORNERS), vertices.reshape(-1, 3)
+    vertices, faces = vertices.reshape(-1, 3), faces.reshape(-1, CORNERS)
     return Part(vertices, faces, material, normals, colors, tuple(layers))
 
 
@@ -152,17 +150,14 @@ class _Document:
         self._assets = assets
         self._buffers: dict[int, bytes] = {}
         self._views: dict[int, bytes] = {}
-        if isinstance(self.header.get("meshes"), dict):  # version 1.0 may do without an asset
-            version = "1.0"
-        else:
-            version = str(self.header["asset"].get("version", "2.0"))
+        old = isinstance(self.header.get("meshes"), dict)  # which may do without an asset
+        version = "1.0" if old else str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
             raise DataError(f"expected glTF 2.0, got {version}")
-        needed = [str(name) for name in self.header.get("extensionsRequired", [])]
-        unknown = [name for name in needed if name not in KNOWN_EXTENSIONS]
-        if unknown:
-            text = f"expected glTF extensions that are known, got one that needs {unknown[0]}"
-            raise DataError(text)
+        for name in map(str, self.header.get("extensionsRequired", [])):
+            if name not in KNOWN_EXTENSIONS:
+                text = f"expected glTF extensions that are known, got one that needs {name}"
+                raise DataError(text)
 
     def placed(self, most_faces: int) -> list[Placed]:
         """Return the primitives of the default scene that have faces, from its roots (section 3.5).

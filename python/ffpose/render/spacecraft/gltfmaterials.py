@@ -87,30 +87,26 @@ class Materials:
         self._header = header
         self._image_bytes = image_bytes
         self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
-        materials = [
-            header["materials"][number]
-            for number in sorted(number for number in used if number is not None)
-        ]
-        slots = [slot for material in materials for slot in _maps(material).values()]
-        keys = [key for slot, convert in slots if (key := self._key(slot, convert)) is not None]
-        self._pyramids = Pyramids(keys, self._opened)
-        left_out = sorted({name for material in materials for name in _left_out(material)})
+        self._given: dict[int | None, Header] = {
+            number: {} if number is None else header["materials"][number] for number in used
+        }
+        slots = [slot for material in self._given.values() for slot in _maps(material).values()]
+        keys = (self._key(slot, convert) for slot, convert in slots)
+        self._pyramids = Pyramids(filter(None, keys), self._opened)
+        left_out = {name for material in self._given.values() for name in _left_out(material)}
         if left_out:
-            logger.warning(
-                "%s: extensions of materials are left out: %s", path, ", ".join(left_out)
-            )
+            text = "%s: extensions of materials are left out: %s"
+            logger.warning(text, path, ", ".join(sorted(left_out)))
 
     def get(self, number: int | None) -> tuple[Material, tuple[Source, ...]]:
         """Return a material and the sources of its textures; None is the default one."""
         if number not in self._made:
-            header = {} if number is None else self._header["materials"][number]
-            self._made[number] = self._make(header)
+            self._made[number] = self._make(self._given[number])
         return self._made[number]
 
     def opaque(self, number: int | None) -> bool:
         """Return whether a material has no use for alpha."""
-        header = {} if number is None else self._header["materials"][number]
-        return bool(header.get("alphaMode", "OPAQUE") == "OPAQUE")
+        return bool(self._given[number].get("alphaMode", "OPAQUE") == "OPAQUE")
 
     def _make(self, header: Header) -> tuple[Material, tuple[Source, ...]]:
         extensions = header.get("extensions", {})

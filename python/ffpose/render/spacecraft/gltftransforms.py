@@ -45,12 +45,12 @@ def transforms(given: Mapping[str, ArrayLike], count: int) -> Floats:
 def morphed(name: str, values: NDArray[Any], deltas: NDArray[Any], weight: float) -> NDArray[Any]:
     """Return an attribute (V, K) with the weighted deltas of a morph target (section 3.7.2.2).
 
-    Colors may have an alpha where their deltas have none, or the reverse, and stay within 0…1.
+    Colors may have an alpha where their deltas have none, or the reverse.
     """
     if name != "COLOR_0":
         return values + weight * deltas
     opaque = np.pad(values, ((0, 0), (0, 4 - values.shape[1])), constant_values=1)
-    return (opaque + weight * np.pad(deltas, ((0, 0), (0, 4 - deltas.shape[1])))).clip(0, 1)
+    return np.asarray(opaque + weight * np.pad(deltas, ((0, 0), (0, 4 - deltas.shape[1]))))
 
 
 def blended(shape: Shape, joints: Floats) -> Floats:
