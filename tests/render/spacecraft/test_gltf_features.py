@@ -185,6 +185,13 @@ def test_a_second_set_of_coordinates(tmp_path, slot):
     np.testing.assert_allclose(quarter(file.load(tmp_path), True, False), (0, 0, 1), atol=0.02)
 
 
+def test_a_texture_without_coordinates_is_told(tmp_path, caplog):
+    textured(QUARTERS, {"texCoord": 1}).load(tmp_path)
+    assert caplog.messages == [
+        f"{tmp_path / 'square.glb'}: mesh 0 has a texture and no TEXCOORD_1: of one color"
+    ]
+
+
 def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
     file = File()
     half = float(np.sqrt(0.5))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import struct
 from collections import Counter
 from typing import Any, NamedTuple
@@ -33,6 +34,8 @@ from ffpose.render.spacecraft.gltftransforms import (
 )
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
 from ffpose.render.spacecraft.parts import Part, check_shape, unit_normals, used_vertices
+
+logger = logging.getLogger(__name__)
 
 Header = dict[str, Any]
 
@@ -108,6 +111,11 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document.check_count(count, most_faces, "triangles")
     of = {key: document.primitive(key).get("material") for key in drawn}
     materials = Materials(document.header, set(of.values()), document.image_bytes, assets.source)
+    for key in drawn:
+        for source in materials.get(of[key])[1]:
+            if (name := f"TEXCOORD_{source.set}") not in shapes[key]:
+                text = "%s: mesh %d has a texture and no %s: of one color"
+                logger.warning(text, assets.source, key.mesh, name)
     return [
         _part(shapes[item.key], materials, of[item.key], item)
         for item in placed
