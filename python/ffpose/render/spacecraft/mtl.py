@@ -56,7 +56,7 @@ DIELECTRIC = 0.08
 """Reflectance that an MTL file's ``Ks`` of one stands for; a half is that of paint."""
 
 
-class Image(NamedTuple):
+class Map(NamedTuple):
     """A texture of an MTL file, the coordinates of which count from the lower left.
 
     Attributes:
@@ -118,11 +118,11 @@ class MtlMaterials:
         self, given: Mapping[str, Fields], assets: Assets, *, colored: bool = False
     ) -> None:
         self._given, self._assets, self._colored = given, assets, colored
-        self._images: dict[str, dict[str, Image]] = {}
+        self._maps: dict[str, dict[str, Map]] = {}
         for name, fields in given.items():
             images = {field: fields[field] for field in sorted(TEXTURES & fields.keys())}
-            self._images[name] = {k: texture_image(v, assets.source) for k, v in images.items()}
-        used = [pair for images in self._images.values() for pair in images.items()]
+            self._maps[name] = {k: texture_map(v, assets.source) for k, v in images.items()}
+        used = [pair for images in self._maps.values() for pair in images.items()]
         keys = [image.key(field) for field, image in used]
         self._pyramids = Pyramids(keys, self._opened)
         every = {field for fields in given.values() for field in fields}
@@ -134,7 +134,7 @@ class MtlMaterials:
     def get(self, name: str) -> tuple[Material, tuple[Source, ...]]:
         """Return a material as the renderer has them, and the sources of its textures."""
         fields, maps, sources = self._given[name], dict[str, Texture](), dict[Source, int]()
-        for field, image in self._images[name].items():
+        for field, image in self._maps[name].items():
             layer = sources.setdefault(image.source(), len(sources))
             maps[field] = Texture(self._pyramids.get(image.key(field)), layer)
         gloss = max(_number_of(fields, "ns", 0.0), 0.0)
@@ -195,14 +195,14 @@ def _finite(key: str, words: list[str]) -> list[float]:
     return numbers
 
 
-def texture_image(text: str, source: Path) -> Image:
-    """Read a texture's name and the options before it; others than those of `Image` are told.
+def texture_map(text: str, source: Path) -> Map:
+    """Read a texture's name and the options before it; others than those of `Map` are told.
 
     A DataError if a value is not what its option has.
     """
     found = OPTIONS.match(text)
     options = found[0] if found else ""
-    image, unknown = Image(text.removeprefix(options)), list[str]()
+    image, unknown = Map(text.removeprefix(options)), list[str]()
     for part in re.findall(OPTION, options):
         key, *values = part.split()
         try:

@@ -37,7 +37,7 @@ def read_obj(content: bytes, assets: Assets) -> list[Part]:
     """
     shape = _Shape(as_utf8(content))
     colored = bool(np.isfinite(shape.colors).any())
-    given = read_libraries(shape.libraries, set(shape.polygons), assets)
+    given = read_libraries(shape.libraries, shape.polygons, assets)
     materials = MtlMaterials(given, assets, colored=colored)
     return [_part(shape, name, materials, colored, assets) for name in shape.polygons]
 
