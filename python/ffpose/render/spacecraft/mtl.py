@@ -9,18 +9,17 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Collection, Mapping
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, values_of
-from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material
 from ffpose.render.spacecraft.meshassets import Assets, open_image
 from ffpose.render.spacecraft.parts import GRAY, ROUGHNESS
-from ffpose.render.spacecraft.textures import CLAMP, REPEAT, Key, Pyramids, Source, linear
+from ffpose.render.spacecraft.textures import CLAMP, REPEAT, Key, Pyramids, Slots, Source, linear
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +29,9 @@ Fields = Mapping[str, str]
 OPTION = r"-[a-z]+(?:\s+(?:[-+.\d][-+.\de]*|on|off|[rgbmlz]))+\s+"
 OPTIONS = re.compile(rf"^(?:{OPTION})+")
 """What stands before a texture's name."""
+
+READ = ("-s", "-o", "-clamp", "-bm")
+"""Options that are read."""
 
 
 def _rough(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -54,34 +56,6 @@ OTHERS = ("bump", "decal", "disp", "refl")
 
 DIELECTRIC = 0.08
 """Reflectance that an MTL file's ``Ks`` of one stands for; a half is that of paint."""
-
-
-class Map(NamedTuple):
-    """A texture of an MTL file, the coordinates of which count from the lower left.
-
-    Attributes:
-        name: Name of its file.
-        scale: By what coordinates are multiplied: two shows the texture twice.
-        offset: What is then added to them.
-        clamp: Whether the border's texels continue outside, in place of the texture.
-        multiplier: Of the lateral components of a normal map.
-    """
-
-    name: str
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-    clamp: bool = False
-    multiplier: float = 1.0
-
-    def source(self) -> Source:
-        """Return what is done to coordinates that count from the upper left."""
-        across, down = self.offset[0], 1 - self.scale[1] - self.offset[1]
-        return Source(offset=(across, down), scale=self.scale)
-
-    def key(self, field: str) -> Key:
-        """Return what the pyramid of a field's texture is made of."""
-        convert = normals_of(self.multiplier) if field == "norm" else CONVERTS[field]
-        return Key(self.name, convert, (CLAMP, CLAMP) if self.clamp else (REPEAT, REPEAT))
 
 
 def read_libraries(
@@ -118,13 +92,19 @@ class MtlMaterials:
         self, given: Mapping[str, Fields], assets: Assets, *, colored: bool = False
     ) -> None:
         self._given, self._assets, self._colored = given, assets, colored
-        self._maps: dict[str, dict[str, Map]] = {}
-        for name, fields in given.items():
-            images = {field: fields[field] for field in sorted(TEXTURES & fields.keys())}
-            self._maps[name] = {k: texture_map(v, assets.source) for k, v in images.items()}
-        used = [pair for images in self._maps.values() for pair in images.items()]
-        keys = [image.key(field) for field, image in used]
-        self._pyramids = Pyramids(keys, self._opened)
+        self._slots: dict[str, Slots] = {
+            name: {
+                field: texture_slot(field, fields[field])
+                for field in sorted(TEXTURES & fields.keys())
+            }
+            for name, fields in given.items()
+        }
+        self._pyramids = Pyramids(self._slots.values(), self._opened)
+        texts = (fields[field] for fields in given.values() for field in TEXTURES & fields.keys())
+        options = {each.strip() for text in texts for each in _options(text)}
+        if others := sorted(each for each in options if each.split()[0] not in READ):
+            text = "%s: options of a texture are left out: %s"
+            logger.warning(text, assets.source, " ".join(others))
         every = {field for fields in given.values() for field in fields}
         left_out = sorted(f for f in every - TEXTURES if f.startswith("map_") or f in OTHERS)
         if left_out:
@@ -133,10 +113,7 @@ class MtlMaterials:
 
     def get(self, name: str) -> tuple[Material, tuple[Source, ...]]:
         """Return a material as the renderer has them, and the sources of its textures."""
-        fields, maps, sources = self._given[name], dict[str, Texture](), dict[Source, int]()
-        for field, image in self._maps[name].items():
-            layer = sources.setdefault(image.source(), len(sources))
-            maps[field] = Texture(self._pyramids.get(image.key(field)), layer)
+        fields, (maps, sources) = self._given[name], self._pyramids.textures(self._slots[name])
         gloss = max(_number_of(fields, "ns", 0.0), 0.0)
         rough = (2 / (gloss + 2)) ** 0.25 if "ns" in fields else ROUGHNESS
         rough = _number_of(fields, "pr", rough)
@@ -156,7 +133,7 @@ class MtlMaterials:
             normal_map=maps.get("norm"),
             emission_map=maps.get("map_ke"),
         )
-        return made, tuple(sources)
+        return made, sources
 
     def _base(self, fields: Fields) -> NDArray[np.float64]:
         """Return the sRGB color that a texture or the colors of vertices are multiplied by."""
@@ -195,34 +172,38 @@ def _finite(key: str, words: list[str]) -> list[float]:
     return numbers
 
 
-def texture_map(text: str, source: Path) -> Map:
-    """Read a texture's name and the options before it; others than those of `Map` are told.
+def texture_slot(field: str, text: str) -> tuple[Key, Source]:
+    """Read a texture's name and the options before it.
 
     A DataError if a value is not what its option has.
     """
-    found = OPTIONS.match(text)
-    options = found[0] if found else ""
-    image, unknown = Map(text.removeprefix(options)), list[str]()
-    for part in re.findall(OPTION, options):
+    scale, offset, wrap, bump = (1.0, 1.0), (0.0, 0.0), REPEAT, 1.0
+    options = _options(text)
+    for part in options:
         key, *values = part.split()
         try:
-            if key == "-s":
-                image = image._replace(scale=_pair(values, 1.0))
+            if key == "-s":  # two shows the texture twice
+                scale = _pair(values, 1.0)
             elif key == "-o":
-                image = image._replace(offset=_pair(values, 0.0))
+                offset = _pair(values, 0.0)
             elif key == "-clamp":
-                image = image._replace(clamp={"on": True, "off": False}[values[0]])
+                wrap = {"on": CLAMP, "off": REPEAT}[values[0]]
             elif key == "-bm":
-                image = image._replace(multiplier=_number(values[0]))
-            else:
-                unknown.append(part.strip())
+                bump = _number(values[0])
         except (KeyError, ValueError):
             expected = "on or off" if key == "-clamp" else "finite numbers"
             got = f"after {key} of a texture, got {' '.join(values)!r}"
             raise DataError(f"expected {expected} {got}") from None
-    if unknown:
-        logger.warning("%s: options of a texture are left out: %s", source, " ".join(unknown))
-    return image
+    convert = normals_of(bump) if field == "norm" else CONVERTS[field]
+    # Options count from the lower left of the texture, its coordinates from the upper left.
+    place = Source(offset=(offset[0], 1 - scale[1] - offset[1]), scale=scale)
+    return Key(text.removeprefix("".join(options)), convert, (wrap, wrap)), place
+
+
+def _options(text: str) -> list[str]:
+    """Return the options before a texture's name."""
+    found = OPTIONS.match(text)
+    return re.findall(OPTION, found[0]) if found else []
 
 
 def _pair(values: list[str], missing: float) -> tuple[float, float]:

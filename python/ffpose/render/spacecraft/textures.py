@@ -201,19 +201,43 @@ class Key(NamedTuple):
     wrap: tuple[int, int] = (REPEAT, REPEAT)
 
 
+@dataclass(frozen=True)
+class Texture:
+    """A texture of a material.
+
+    Attributes:
+        image: Its values at every resolution.
+        layer: Which of `Mesh.layers` has its coordinates.
+    """
+
+    image: Pyramid
+    layer: int = 0
+
+
+Slots = dict[str, tuple[Key, Source]]
+"""What the textures of a material are made of, and where their coordinates come from, by field."""
+
+
 class Pyramids:
     """Pyramids that all together fit in `BUDGET`, each made when it is first asked for.
 
-    ``keys`` are of all that will be. ``opened`` opens an image of which Pillow has read the head:
-    its pixels are gone when its pyramid is made.
+    ``slots`` are those of all materials. ``opened`` opens an image of which Pillow has read the
+    head: its pixels are gone when its pyramid is made.
     """
 
-    def __init__(self, keys: Iterable[Key], opened: Callable[[Any], Any]) -> None:
+    def __init__(self, slots: Iterable[Slots], opened: Callable[[Any], Any]) -> None:
         self._opened = opened
         self._made: dict[Key, Pyramid] = {}
-        wanted = dict.fromkeys(keys)
+        wanted = dict.fromkeys(key for each in slots for key, _ in each.values())
         sizes = {image: opened(image).size for image in dict.fromkeys(key.image for key in wanted)}
         self._most = largest_side([sizes[key.image] for key in wanted])
+
+    def textures(self, slots: Slots) -> tuple[dict[str, Texture], tuple[Source, ...]]:
+        """Return a material's textures by field, and the sources of their layers of coordinates."""
+        sources, found = dict[Source, int](), dict[str, Texture]()
+        for field, (key, source) in slots.items():
+            found[field] = Texture(self.get(key), sources.setdefault(source, len(sources)))
+        return found, tuple(sources)
 
     def get(self, key: Key) -> Pyramid:
         """Return a pyramid; a DataError if its image cannot be decoded."""
