@@ -260,17 +260,14 @@ class _Document:
 
     def _face_counts(self, mesh: int) -> dict[int, int]:
         """Return the numbers of triangles of a mesh's primitives that have any."""
-        primitives = self.header["meshes"][mesh]["primitives"]
-        counts = {number: self._face_count(each) for number, each in enumerate(primitives)}
-        return {number: count for number, count in counts.items() if count}
-
-    def _face_count(self, primitive: Header) -> int:
-        mode = primitive.get("mode", TRIANGLES)
-        if "POSITION" not in primitive["attributes"] or mode not in (TRIANGLES, STRIP, FAN):
-            return 0
-        accessor = primitive.get("indices", primitive["attributes"]["POSITION"])
-        count = int(self.header["accessors"][accessor]["count"])
-        return count // 3 if mode == TRIANGLES else max(0, count - 2)
+        counts: dict[int, int] = {}
+        for number, primitive in enumerate(self.header["meshes"][mesh]["primitives"]):
+            mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
+            if "POSITION" in attributes and mode in (TRIANGLES, STRIP, FAN):
+                accessor = primitive.get("indices", attributes["POSITION"])
+                count = int(self.header["accessors"][accessor]["count"])
+                counts[number] = count // 3 if mode == TRIANGLES else count - 2
+        return {number: count for number, count in counts.items() if count > 0}
 
     def vertex_count(self, keys: list[Key]) -> int:
         """Return the number of vertices of primitives: values of their longest attributes."""
