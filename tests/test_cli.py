@@ -532,7 +532,7 @@ def test_a_broken_image_is_one_line_whoever_reads_it(workers, tmp_path, capsys):
 
 
 POSE = ("torch", "torchvision", "torchmetrics", "timm", "safetensors", "matplotlib")
-BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex", "trimesh")
+BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex")
 
 
 @pytest.mark.parametrize(

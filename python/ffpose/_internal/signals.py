@@ -5,10 +5,8 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
-from typing import Any
 
 
 @contextmanager
@@ -50,39 +48,6 @@ def interrupts_held() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def signals_kept() -> Iterator[None]:
-    """Raise what handlers of SIGINT and SIGTERM raise again at the end of the block.
-
-    For calls of libraries that catch every exception, and go on or raise another.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[BaseException] = []
-
-    def keep(number: int, frame: FrameType | None) -> None:
-        try:
-            handlers[number](number, frame)
-        except BaseException as raised:
-            came.append(raised)
-            raise
-
-    handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        handler = signal.getsignal(number)
-        if callable(handler):  # not the system's own, or none
-            handlers[number] = handler
-            signal.signal(number, keep)
-    try:
-        yield
-    finally:
-        for each, handler in handlers.items():
-            signal.signal(each, handler)
-        if came:
-            raise came[0]
 
 
 def leave_interrupts_to_parent() -> None:

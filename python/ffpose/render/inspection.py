@@ -26,11 +26,9 @@ from ffpose.render.symmetry import find_symmetries
 TILE, COLUMNS, CAPTION = 320, 4, 22
 """Side of a view in pixels, views in a row, and height of the text below each."""
 
-DISK = 0.46
-"""Radius of the bounding sphere in a view, in its sides."""
-
-AWAY = 8.0
-"""Distance of the camera in radii of the bounding sphere: nearly a parallel projection."""
+DISK, AWAY = 0.46, 8.0
+"""Radius of the bounding sphere in a view, in its sides, and distance of the camera in such radii:
+nearly a parallel projection."""
 
 SMALLEST_M, LARGEST_M = 0.05, 150.0
 """Diameters of spacecraft, from a picosatellite's to a station's."""
@@ -47,11 +45,8 @@ LEAST_SEEN = 0.01
 OPAQUE = 0.95
 """Alpha from which a material counts as solid."""
 
-GRAY = 0.05
-"""Light of the background."""
-
-WHITE = 1.2
-"""Light that is white in the views."""
+GRAY, WHITE = 0.05, 1.2
+"""Light of the background, and light that is white in the views."""
 
 DIRECTIONS = {
     "+x": (1, 0, 0),
@@ -116,11 +111,10 @@ def find_doubts(craft: Craft, *, y_up: bool = False) -> list[str]:
 
 def _measured(craft: Craft) -> dict[str, Any]:
     """Return what `inspect_mesh` measures."""
-    vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
-    center, radius = bounding_sphere(vertices)
+    center, radius = bounding_sphere(craft.corners)
     inside, disk = _shares_seen(craft, center, radius)
     return {
-        "size_m": np.ptp(vertices, axis=0).tolist(),
+        "size_m": np.ptp(craft.corners, axis=0).tolist(),
         "triangles": len(craft.mesh.faces),
         "materials": [_material(craft, number) for number in range(len(craft.materials))],
         "center_m": center.tolist(),
@@ -133,7 +127,7 @@ def _measured(craft: Craft) -> dict[str, Any]:
 
 def view_sheet(craft: Craft) -> Image.Image:
     """Draw a spacecraft from twelve sides, with its axes and a meter bar."""
-    center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
+    center, radius = bounding_sphere(craft.corners)
     return tiled([_tile(craft, name, center, radius) for name in DIRECTIONS], COLUMNS)
 
 

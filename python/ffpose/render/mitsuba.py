@@ -36,9 +36,9 @@ from ffpose.render.shading.reflection import EARTH_COLOR, HIGHLIGHT_LIMIT, Light
 from ffpose.render.shading.tracer import DEPTH, STEP, Tracer
 from ffpose.render.shading.vectors import Floats, unit
 from ffpose.render.spacecraft.craft import Craft
-from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Pattern, Texture
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Pattern
 from ffpose.render.spacecraft.mesh import Mesh
-from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, averaged
+from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, Texture, averaged
 
 VARIANT = "scalar_rgb"
 """Mitsuba's build without a just-in-time compiler, which would need LLVM."""

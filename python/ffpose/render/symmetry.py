@@ -128,7 +128,7 @@ def find_symmetries(craft: Craft) -> Symmetries:
     center = area @ points / area.sum()
     spread = (points - center) * np.sqrt(area / area.sum())[:, None]
     moments = spread.T @ spread
-    reach = np.linalg.norm(craft.mesh.vertices[np.unique(craft.mesh.faces)] - center, axis=1).max()
+    reach = np.linalg.norm(craft.corners - center, axis=1).max()
     if np.linalg.eigvalsh(moments)[0] < (1e-4 * reach) ** 2:
         raise ValueError(
             "mesh: expected a spacecraft of some depth, got one that is flat, of which nothing is"
@@ -159,7 +159,7 @@ def _sorted(found: list[Symmetry]) -> Symmetries:
     group, same, near = IDENTITY, list[Symmetry](), list[Symmetry]()
     free_first = sorted(found, key=lambda s: (s.axis.fold > 0, -s.axis.fold, s.noise))
     for each in [s for s in free_first if s.noise <= 1]:
-        if _implied(group, each.axis):
+        if group.has(_turns(each.axis)):
             continue
         try:
             if each.offset_m == 0:
@@ -170,7 +170,7 @@ def _sorted(found: list[Symmetry]) -> Symmetries:
             pass  # within the noise, but in no group with those before
         near.append(each)
     for each in [s for s in free_first if s.noise > 1]:
-        if not _implied(group, each.axis) and not any(_tells(other, each) for other in near):
+        if not group.has(_turns(each.axis)) and not any(_tells(other, each) for other in near):
             near.append(each)
     near.sort(key=lambda s: (s.axis.fold > 0, s.contrast))
     return Symmetries(group, same, near)
@@ -181,11 +181,6 @@ def _tells(other: Symmetry, each: Symmetry) -> bool:
     about_one_axis = abs(np.dot(each.axis.direction, other.axis.direction)) > ALIKE
     among = other.axis.fold == 0 or (each.axis.fold > 0 and other.axis.fold % each.axis.fold == 0)
     return bool(about_one_axis and among and each.contrast > MORE_ALIKE * other.contrast)
-
-
-def _implied(group: SymmetryGroup, axis: Axis) -> bool:
-    """Tell whether a group has the turns about an axis already."""
-    return group.has(_turns(axis))
 
 
 def _turns(axis: Axis) -> FloatArray:

@@ -185,6 +185,13 @@ def test_a_second_set_of_coordinates(tmp_path, slot):
     np.testing.assert_allclose(quarter(file.load(tmp_path), True, False), (0, 0, 1), atol=0.02)
 
 
+def test_a_texture_without_coordinates_is_told(tmp_path, caplog):
+    textured(QUARTERS, {"texCoord": 1}).load(tmp_path)
+    assert caplog.messages == [
+        f"{tmp_path / 'square.glb'}: mesh 0 has a texture and no TEXCOORD_1: of one color"
+    ]
+
+
 def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
     file = File()
     half = float(np.sqrt(0.5))
@@ -325,6 +332,20 @@ def test_morph_targets_move_vertices_normals_and_colors_by_their_weights(tmp_pat
     file.header["scenes"] = [{"nodes": [0, 1]}]
     heights = file.load(tmp_path).mesh.vertices[:, 2]
     assert sorted(heights.tolist()) == pytest.approx([0, 0, 0, 0, 1, 1, 1, 1])
+
+
+def test_colors_of_vertices_are_within_their_range_after_all_morph_targets(tmp_path):
+    """What is no number is black; 0.75 + 0.5 - 0.5 is 0.75, though the first sum is more than 1."""
+    file = File()
+    colors = np.array([[2, -1, 0.5], [np.nan, np.inf, 1], [0.75] * 3, [0, 0, 0]], np.float32)
+    file.attributes["COLOR_0"] = file.accessor(colors)
+    half = file.accessor(np.full((4, 3), 0.5, np.float32))
+    file.primitive["targets"] = [{"COLOR_0": half}, {"COLOR_0": half}]
+    mesh = file.load(tmp_path).mesh
+    expected = np.array([[1, 0, 0.5], [0, 1, 1], [0.75] * 3])
+    np.testing.assert_allclose(mesh.colors[0, :, :3], expected)
+    file.header["meshes"][0]["weights"] = [1, -1]
+    assert file.load(tmp_path).mesh.colors[0, 2, :3] == pytest.approx(0.75)
 
 
 def test_morph_targets_that_do_not_fit_are_refused(tmp_path):

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from ffpose.arrays import sample_texture
 from ffpose.render.shading.vectors import Floats, dot, unit
 from ffpose.render.spacecraft.craft import Craft
-from ffpose.render.spacecraft.materials import SLOTS, Texture
+from ffpose.render.spacecraft.materials import SLOTS
 from ffpose.render.spacecraft.mesh import Mesh
+from ffpose.render.spacecraft.textures import Texture
 
 LEAST_AREA = 1e-18
 """Smallest area of a face, in textures and in square meters, for logarithms."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import struct
 from collections import Counter
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.errors import DataError, MissingExtraError, require
+from ffpose.errors import DataError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import LEFT_OUT, READ, Materials
 from ffpose.render.spacecraft.gltftransforms import (
@@ -32,7 +33,9 @@ from ffpose.render.spacecraft.gltftransforms import (
     turned,
 )
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
-from ffpose.render.spacecraft.parts import Part, check_shape, used_vertices
+from ffpose.render.spacecraft.parts import Part, check_shape, unit_normals, used_vertices
+
+logger = logging.getLogger(__name__)
 
 Header = dict[str, Any]
 
@@ -98,16 +101,6 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
             refers to a file that is missing or cannot be used.
         MissingExtraError: The file is compressed and the library that reads it is not installed.
     """
-    try:
-        return _read(content, assets, most_faces)
-    except (DataError, MissingExtraError):
-        raise
-    except Exception as error:  # a broken file has anything in place of what is expected
-        text = f"expected a glTF document, got {one_line(error)}"
-        raise DataError(text, assets.source) from error
-
-
-def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document = _Document(content, assets)
     placed = document.placed(most_faces)
     drawn = sorted({item.key for item in placed})
@@ -118,6 +111,11 @@ def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document.check_count(count, most_faces, "triangles")
     of = {key: document.primitive(key).get("material") for key in drawn}
     materials = Materials(document.header, set(of.values()), document.image_bytes, assets.source)
+    for key in drawn:
+        for source in materials.get(of[key])[1]:
+            if (name := f"TEXCOORD_{source.set}") not in shapes[key]:
+                text = "%s: mesh %d has a texture and no %s: of one color"
+                logger.warning(text, assets.source, key.mesh, name)
     return [
         _part(shapes[item.key], materials, of[item.key], item)
         for item in placed
@@ -130,29 +128,24 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
     material, sources = materials.get(number)
     points, layers = shape["POSITION"], []
     for source in sources:
-        coordinates = shape.get(f"TEXCOORD_{source.set}")
-        if coordinates is None:
-            coordinates = np.zeros((len(points), 2), np.float32)
+        coordinates = shape.get(f"TEXCOORD_{source.set}", np.zeros((len(points), 2), np.float32))
         layers.append(np.tile(source.transformed(coordinates), (item.copies, 1)))
     places = blended(shape, item.places)[None] if item.skinned else item.places[:, None]
     turns = places[..., :3, :3]
     vertices = turned(points, turns) + places[..., :3, 3]
-    mirrored = np.median(np.linalg.det(turns), axis=1) < 0
-    faces = np.where(mirrored[:, None, None], shape["faces"][:, ::-1], shape["faces"])
+    mirrored = np.median(np.linalg.det(turns), axis=1)[:, None, None] < 0
+    faces = np.where(mirrored, shape["faces"][:, ::-1], shape["faces"])
     faces = faces + len(points) * np.arange(item.copies)[:, None, None]
     normals = shape.get("NORMAL")
     if normals is not None:
-        normals = turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
-        normals = normals.astype(np.float32)
+        normals = unit_normals(turned(normals.astype(np.float64), cofactors(turns)).reshape(-1, 3))
     colors = shape.get("COLOR_0")
-    if colors is not None:
+    if colors is not None:  # within 0…1 once all morph targets have moved them (section 3.7.2.1)
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
-        colors = np.tile(colors, (item.copies, 1))
+        colors = np.tile(np.nan_to_num(colors).clip(0, 1), (item.copies, 1))
         if materials.opaque(number):
             colors[:, 3] = 1
-    faces, vertices = faces.reshape(-1, CORNERS), vertices.reshape(-1, 3)
+    vertices, faces = vertices.reshape(-1, 3), faces.reshape(-1, CORNERS)
     return Part(vertices, faces, material, normals, colors, tuple(layers))
 
 
@@ -162,21 +155,17 @@ class _Document:
     def __init__(self, content: bytes, assets: Assets) -> None:
         self.header, self._chunk = _split(content)
         check_numbers(self.header, KNOWN_EXTENSIONS, assets.source)
-        self.source = assets.source
         self._assets = assets
         self._buffers: dict[int, bytes] = {}
         self._views: dict[int, bytes] = {}
-        if isinstance(self.header.get("meshes"), dict):  # version 1.0 may do without an asset
-            version = "1.0"
-        else:
-            version = str(self.header["asset"].get("version", "2.0"))
+        old = isinstance(self.header.get("meshes"), dict)  # which may do without an asset
+        version = "1.0" if old else str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
-            raise DataError(f"expected glTF 2.0, got {version}", assets.source)
-        needed = [str(name) for name in self.header.get("extensionsRequired", [])]
-        unknown = [name for name in needed if name not in KNOWN_EXTENSIONS]
-        if unknown:
-            text = f"expected glTF extensions that are known, got one that needs {unknown[0]}"
-            raise DataError(text, assets.source)
+            raise DataError(f"expected glTF 2.0, got {version}")
+        for name in map(str, self.header.get("extensionsRequired", [])):
+            if name not in KNOWN_EXTENSIONS:
+                text = f"expected glTF extensions that are known, got one that needs {name}"
+                raise DataError(text)
 
     def placed(self, most_faces: int) -> list[Placed]:
         """Return the primitives of the default scene that have faces, from its roots (section 3.5).
@@ -213,12 +202,12 @@ class _Document:
     def check_count(self, count: int, most: int, what: str) -> None:
         """Raise a DataError if there is more of something than there may be."""
         if count > most:
-            raise DataError(f"expected at most {most} {what}, got {count}", self.source)
+            raise DataError(f"expected at most {most} {what}, got {count}")
 
     def _finite(self, places: Floats) -> Floats:
         """Return places (N, 4, 4), which must be finite."""
         if not np.isfinite(places).all():
-            raise DataError("expected finite places of meshes, got NaN or infinity", self.source)
+            raise DataError("expected finite places of meshes, got NaN or infinity")
         return places
 
     def _places(self) -> tuple[dict[int, Floats], set[int]]:
@@ -231,15 +220,14 @@ class _Document:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [number for number in range(len(nodes)) if number not in children]
             if nodes and not roots:
-                raise DataError("expected a tree of nodes, got a cycle", self.source)
+                raise DataError("expected a tree of nodes, got a cycle")
         stack = [(number, np.eye(4), False) for number in reversed(roots)]
         places: dict[int, Floats] = {}
         hidden: set[int] = set()
         while stack:
             number, above, unseen = stack.pop()
             if number in places:
-                text = f"expected a tree of nodes, got node {number} in a cycle or twice"
-                raise DataError(text, self.source)
+                raise DataError(f"expected a tree of nodes, got node {number} in a cycle or twice")
             node = nodes[number]
             shown = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
             if unseen or not shown:
@@ -255,14 +243,14 @@ class _Document:
         missing = [joint for joint in skin["joints"] if joint not in places]
         if missing:
             text = f"expected joints of skin {number} in the scene, got node {missing[0]}"
-            raise DataError(f"{text}, which is not", self.source)
+            raise DataError(f"{text}, which is not")
         joints = np.stack([places[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" not in skin:
             return joints
         columns = self.values(skin["inverseBindMatrices"])[: len(joints)]
         if len(columns) < len(joints):
             text = f"expected {len(joints)} bind matrices of skin {number}, got {len(columns)}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         return joints @ columns.astype(np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
 
     def primitive(self, key: Key) -> Header:
@@ -272,17 +260,14 @@ class _Document:
 
     def _face_counts(self, mesh: int) -> dict[int, int]:
         """Return the numbers of triangles of a mesh's primitives that have any."""
-        primitives = self.header["meshes"][mesh]["primitives"]
-        counts = {number: self._face_count(each) for number, each in enumerate(primitives)}
-        return {number: count for number, count in counts.items() if count}
-
-    def _face_count(self, primitive: Header) -> int:
-        mode = primitive.get("mode", TRIANGLES)
-        if "POSITION" not in primitive["attributes"] or mode not in (TRIANGLES, STRIP, FAN):
-            return 0
-        accessor = primitive.get("indices", primitive["attributes"]["POSITION"])
-        count = int(self.header["accessors"][accessor]["count"])
-        return count // 3 if mode == TRIANGLES else max(0, count - 2)
+        counts: dict[int, int] = {}
+        for number, primitive in enumerate(self.header["meshes"][mesh]["primitives"]):
+            mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
+            if "POSITION" in attributes and mode in (TRIANGLES, STRIP, FAN):
+                accessor = primitive.get("indices", attributes["POSITION"])
+                count = int(self.header["accessors"][accessor]["count"])
+                counts[number] = count // 3 if mode == TRIANGLES else count - 2
+        return {number: count for number, count in counts.items() if count > 0}
 
     def vertex_count(self, keys: list[Key]) -> int:
         """Return the number of vertices of primitives: values of their longest attributes."""
@@ -302,7 +287,7 @@ class _Document:
         targets = self.primitive(key).get("targets", [])
         if key.weights and targets and len(key.weights) != len(targets):
             text = f"expected weights of {len(targets)} morph targets, got {len(key.weights)}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         pairs = zip(key.weights, targets, strict=False)
         return [(float(weight), each) for weight, each in pairs if weight != 0]
 
@@ -321,7 +306,7 @@ class _Document:
         for name, values in shape.items():
             if len(values) != len(shape["POSITION"]):
                 text = f"expected {len(shape['POSITION'])} values of {name}, got {len(values)}"
-                raise DataError(text, self.source)
+                raise DataError(text)
         for weight, target in self._targets(key):
             for name in shape.keys() & target.keys():
                 if name.startswith(("JOINTS_", "WEIGHTS_")):
@@ -329,7 +314,7 @@ class _Document:
                 deltas = self.values(target[name])
                 if len(deltas) != len(shape[name]):
                     text = f"expected {len(shape[name])} values of {name} in a morph target"
-                    raise DataError(f"{text}, got {len(deltas)}", self.source)
+                    raise DataError(f"{text}, got {len(deltas)}")
                 shape[name] = morphed(name, shape[name], deltas, weight)
         points = shape["POSITION"]
         if "faces" in packed:
@@ -340,9 +325,9 @@ class _Document:
                 order = self.values(primitive["indices"])[:, 0]
             if primitive.get("mode", TRIANGLES) == TRIANGLES and len(order) % CORNERS:
                 text = f"expected triangles of {CORNERS} corners, got {len(order)} corners"
-                raise DataError(text, self.source)
+                raise DataError(text)
             faces = _triangles(order, primitive.get("mode", TRIANGLES))
-        check_shape(points, faces, self.source)
+        check_shape(points, faces)
         used, faces = used_vertices(faces, len(points))
         return {name: values[used] for name, values in shape.items()} | {"faces": faces}
 
@@ -364,7 +349,7 @@ class _Document:
         except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
             name = self.header["meshes"][mesh].get("name", mesh)
             text = f"expected Draco data of mesh {name!r} that can be decoded"
-            raise DataError(f"{text}, got {one_line(error)}", self.source) from error
+            raise DataError(f"{text}, got {one_line(error)}") from error
 
     def _narrowed(self, values: NDArray[Any], accessor: int) -> NDArray[Any]:
         """Return whole numbers that Draco decoded in the type that they have without it.
@@ -381,7 +366,7 @@ class _Document:
             content = self.resource(entry["uri"]) if "uri" in entry else self._chunk
             if len(content) < entry["byteLength"]:
                 text = f"expected a buffer of {entry['byteLength']} bytes, got {len(content)}"
-                raise DataError(text, self.source)
+                raise DataError(text)
             self._buffers[number] = content
         return self._buffers[number]
 
@@ -407,8 +392,7 @@ class _Document:
         start = view.get("byteOffset", 0)
         content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
         if len(content) < view["byteLength"]:
-            text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
-            raise DataError(text, self.source)
+            raise DataError(f"expected {view['byteLength']} bytes of a buffer, got {len(content)}")
         return content
 
     def _unpacked(self, packed: Header, length: int) -> bytes:
@@ -417,10 +401,10 @@ class _Document:
         count, stride = packed["count"], packed["byteStride"]
         if count * stride != length:
             text = f"expected {length} bytes in a compressed buffer, got {count} times {stride}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         if length > MAX_BYTES:
             text = f"expected at most {MAX_BYTES} bytes in a compressed buffer, got {length}"
-            raise DataError(text, self.source)
+            raise DataError(text)
         content, kind = self._slice(packed), packed.get("filter")
         found: bytes = meshopt.decode_gltf_buffer(
             content, count, stride, packed["mode"], kind
@@ -463,7 +447,7 @@ class _Document:
         if len(counts) > 1:
             text = "expected as many values of each attribute of a mesh's copies"
             got = " and ".join(map(str, sorted(counts)))
-            raise DataError(f"{text}, got {got}", self.source)
+            raise DataError(f"{text}, got {got}")
         return int(counts.pop()) if counts else 1
 
     def _instances(self, node: Header) -> Floats:

@@ -59,9 +59,9 @@ def check_numbers(header: dict[str, Any], known: Collection[str], path: Path) ->
 def _checked(name: str, value: float, path: Path) -> float:
     """Return a number that may stand there."""
     if not math.isfinite(value):
-        raise DataError(f"expected a finite {name}, got {value}", path)
+        raise DataError(f"expected a finite {name}, got {value}")
     if value < 0 and name in COUNTS:
-        raise DataError(f"expected {name} of at least 0, got {value}", path)
+        raise DataError(f"expected {name} of at least 0, got {value}")
     if name not in FACTORS or 0 <= value <= FACTORS[name]:
         return value
     nearest = min(max(value, 0.0), FACTORS[name])

@@ -17,10 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import DataError
-from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material
 from ffpose.render.spacecraft.meshassets import open_image
-from ffpose.render.spacecraft.pyramids import Key, Pyramids
-from ffpose.render.spacecraft.textures import CLAMP, MIRROR, REPEAT, Convert, Source, linear
+from ffpose.render.spacecraft.textures import (
+    CLAMP,
+    MIRROR,
+    REPEAT,
+    Convert,
+    Key,
+    Pyramids,
+    Slots,
+    Source,
+    linear,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -78,36 +87,30 @@ class Materials:
     ) -> None:
         self._header = header
         self._image_bytes = image_bytes
-        self._path = path
         self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
-        materials = [
-            header["materials"][number]
-            for number in sorted(number for number in used if number is not None)
-        ]
-        slots = [slot for material in materials for slot in _maps(material).values()]
-        keys = [key for slot, convert in slots if (key := self._key(slot, convert)) is not None]
-        self._pyramids = Pyramids(keys, self._opened, path)
-        left_out = sorted({name for material in materials for name in _left_out(material)})
+        self._given: dict[int | None, Header] = {
+            number: {} if number is None else header["materials"][number] for number in used
+        }
+        self._slots = {number: self._slots_of(each) for number, each in self._given.items()}
+        self._pyramids = Pyramids(self._slots.values(), self._opened)
+        left_out = {name for material in self._given.values() for name in _left_out(material)}
         if left_out:
-            logger.warning(
-                "%s: extensions of materials are left out: %s", path, ", ".join(left_out)
-            )
+            text = "%s: extensions of materials are left out: %s"
+            logger.warning(text, path, ", ".join(sorted(left_out)))
 
     def get(self, number: int | None) -> tuple[Material, tuple[Source, ...]]:
         """Return a material and the sources of its textures; None is the default one."""
         if number not in self._made:
-            header = {} if number is None else self._header["materials"][number]
-            self._made[number] = self._make(header)
+            maps, sources = self._pyramids.textures(self._slots[number])
+            self._made[number] = self._make(self._given[number], maps), sources
         return self._made[number]
 
     def opaque(self, number: int | None) -> bool:
         """Return whether a material has no use for alpha."""
-        header = {} if number is None else self._header["materials"][number]
-        return bool(header.get("alphaMode", "OPAQUE") == "OPAQUE")
+        return bool(self._given[number].get("alphaMode", "OPAQUE") == "OPAQUE")
 
-    def _make(self, header: Header) -> tuple[Material, tuple[Source, ...]]:
+    def _make(self, header: Header, maps: dict[str, Any]) -> Material:
         extensions = header.get("extensions", {})
-        sources: dict[Source, int] = {}
         factors = _factors(header)
         base, rough = factors["slots"]
         if factors.get("glossiness") is not None:
@@ -122,11 +125,7 @@ class Materials:
         shine = factors.get("glossiness")
         roughness = factors["roughness"] if shine is None or rough is None else 1.0
         unlit = "KHR_materials_unlit" in extensions
-        maps: dict[str, Any] = {
-            field: self._texture(slot, convert, sources)
-            for field, (slot, convert) in _maps(header).items()
-        }
-        material = Material(
+        return Material(
             three(np.clip(factors["color"][:3], 0, 1)),
             1.0 if unlit else float(max(roughness, LEAST_ROUGHNESS)),
             0.0 if unlit else factors["metallic"],
@@ -136,7 +135,6 @@ class Materials:
             two_sided=bool(header.get("doubleSided", False)),
             **maps,
         )
-        return material, tuple(sources)
 
     def _tinted(
         self, reflectance: tuple[float, float, float], slot: Header | None
@@ -149,21 +147,22 @@ class Materials:
         light = pyramid.level(0)[..., :3].mean(axis=(0, 1), dtype=np.float64)
         return three(light * reflectance)
 
-    def _texture(
-        self, slot: Header | None, convert: Convert, sources: dict[Source, int]
-    ) -> Texture | None:
-        """Return a texture of a slot, and note where its coordinates come from."""
-        key = self._key(slot, convert)
-        if slot is None or key is None:
-            return None
-        change = slot.get("extensions", {}).get("KHR_texture_transform", {})
-        source = Source(
-            int(change.get("texCoord", slot.get("texCoord", 0))),
-            tuple(change.get("offset", (0.0, 0.0))),
-            float(change.get("rotation", 0.0)),
-            tuple(change.get("scale", (1.0, 1.0))),
-        )
-        return Texture(self._pyramids.get(key), sources.setdefault(source, len(sources)))
+    def _slots_of(self, header: Header) -> Slots:
+        """Return what the textures of a material are made of, of those that have an image."""
+        found: Slots = {}
+        for field, (slot, convert) in _maps(header).items():
+            key = self._key(slot, convert)
+            if slot is None or key is None:
+                continue
+            change = slot.get("extensions", {}).get("KHR_texture_transform", {})
+            source = Source(
+                int(change.get("texCoord", slot.get("texCoord", 0))),
+                tuple(change.get("offset", (0.0, 0.0))),
+                float(change.get("rotation", 0.0)),
+                tuple(change.get("scale", (1.0, 1.0))),
+            )
+            found[field] = key, source
+        return found
 
     def _key(self, slot: Header | None, convert: Convert) -> Key | None:
         """Return what the pyramid of a slot is made of; None without an image.
@@ -188,11 +187,11 @@ class Materials:
         content, name = self._image_bytes(number)
         if content.startswith(KTX2):
             raise self._in_ktx2(f"image {name}")
-        return open_image(content, self._path, name)
+        return open_image(content, name)
 
     def _in_ktx2(self, what: str) -> DataError:
         text = f"expected textures of PNG, JPEG or WebP, got {what} in KTX2 (KHR_texture_basisu)"
-        return DataError(f"{text} alone: convert it to one of those", self._path)
+        return DataError(f"{text} alone: convert it to one of those")
 
 
 def _left_out(material: Header) -> Iterator[str]:

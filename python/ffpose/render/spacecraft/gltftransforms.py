@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose.geometry.rotations import rotation_matrix
+
 Floats = NDArray[np.float64]
 Shape = dict[str, NDArray[Any]]
 """Attributes of a primitive's vertices, each (V, K), by name."""
@@ -32,18 +34,10 @@ def transforms(given: Mapping[str, ArrayLike], count: int) -> Floats:
     move, rotation, scale = (
         np.asarray(given.get(name, [rest]), dtype=np.float64) for name, rest in REST.items()
     )
-    x, y, z, w = rotation.T
-    norm = x * x + y * y + z * z + w * w
-    two = np.divide(2, norm, out=np.zeros_like(norm), where=norm > 0)
-    turn = np.array(
-        [
-            [1 - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w)],
-            [two * (x * y + z * w), 1 - two * (x * x + z * z), two * (y * z - x * w)],
-            [two * (x * z - y * w), two * (y * z + x * w), 1 - two * (x * x + y * y)],
-        ]
-    )
+    norm = np.linalg.norm(rotation, axis=1, keepdims=True)
+    unit = np.where(norm == 0, REST["rotation"], rotation / np.where(norm == 0, 1, norm))
     matrices = np.tile(np.eye(4), (count, 1, 1))
-    matrices[:, :3, :3] = turn.transpose(2, 0, 1) * scale[:, None]
+    matrices[:, :3, :3] = rotation_matrix(np.roll(unit, 1, axis=1)) * scale[:, None]
     matrices[:, :3, 3] = move
     return matrices
 
@@ -51,12 +45,12 @@ def transforms(given: Mapping[str, ArrayLike], count: int) -> Floats:
 def morphed(name: str, values: NDArray[Any], deltas: NDArray[Any], weight: float) -> NDArray[Any]:
     """Return an attribute (V, K) with the weighted deltas of a morph target (section 3.7.2.2).
 
-    Colors may have an alpha where their deltas have none, or the reverse, and stay within 0…1.
+    Colors may have an alpha where their deltas have none, or the reverse.
     """
     if name != "COLOR_0":
         return values + weight * deltas
     opaque = np.pad(values, ((0, 0), (0, 4 - values.shape[1])), constant_values=1)
-    return (opaque + weight * np.pad(deltas, ((0, 0), (0, 4 - deltas.shape[1])))).clip(0, 1)
+    return np.asarray(opaque + weight * np.pad(deltas, ((0, 0), (0, 4 - deltas.shape[1]))))
 
 
 def blended(shape: Shape, joints: Floats) -> Floats:
@@ -83,11 +77,7 @@ def blended(shape: Shape, joints: Floats) -> Floats:
 
 def turned(vectors: Floats, matrices: Floats) -> Floats:
     """Return vectors (V, 3) by N matrices (N, 1, 3, 3), or each by its own (N, V, 3, 3)."""
-    if matrices.shape[1] == 1:
-        found: Floats = vectors @ matrices[:, 0].swapaxes(1, 2)
-    else:
-        found = np.einsum("nvij,vj->nvi", matrices, vectors)
-    return found
+    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))
 
 
 def cofactors(matrices: Floats) -> Floats:

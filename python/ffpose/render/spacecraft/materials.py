@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from ffpose.render.spacecraft.textures import Pyramid
+from ffpose.render.spacecraft.textures import Texture
 
 SLOTS = ("color_map", "roughness_map", "normal_map", "emission_map")
 """Fields of a `Material` that are textures."""
@@ -31,19 +31,6 @@ class Pattern(IntEnum):
     """Quilted cloth: seams, stitches and a soft relief."""
     PANELS = 4
     """Painted panels with thin dark joints."""
-
-
-@dataclass(frozen=True)
-class Texture:
-    """A texture of a material.
-
-    Attributes:
-        image: Its values at every resolution.
-        layer: Which of `Mesh.layers` has its coordinates.
-    """
-
-    image: Pyramid
-    layer: int = 0
 
 
 @dataclass(frozen=True)

@@ -12,18 +12,20 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ffpose.errors import DataError, expect
+from ffpose.errors import DataError, MissingExtraError, expect
 from ffpose.geometry.rotations import FloatArray, shortest_turn
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
 from ffpose.render.spacecraft.gltf import read_gltf
-from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, check_kind
-from ffpose.render.spacecraft.parts import joined
-from ffpose.render.spacecraft.trimeshparts import read_trimesh
+from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, check_kind, one_line
+from ffpose.render.spacecraft.obj import read_obj
+from ffpose.render.spacecraft.parts import Part, joined
+from ffpose.render.spacecraft.ply import read_ply
+from ffpose.render.spacecraft.stl import read_stl
 
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf")
 MAX_FACES = 2_000_000
 
-READING = 6
+READING = 7
 """Version of how files are read; images of a file that was read otherwise are rendered again."""
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -56,7 +58,8 @@ def load_craft(
         DataError: The file is broken, empty, holds numbers that are not finite, has more than
             `MAX_FACES` faces, all of them in one line, or is larger than `MAX_BYTES`; or a file
             that it refers to is missing or cannot be used.
-        MissingExtraError: Trimesh is not installed.
+        MissingExtraError: The file is compressed, or has textures, and the library that reads them
+            is not installed.
     """
     source = Path(path)
     expect(source.suffix.lower() in FORMATS, "mesh", f"a file of {', '.join(FORMATS)}", source.name)
@@ -66,11 +69,7 @@ def load_craft(
         raise DataError(f"expected at most {MAX_BYTES} bytes, got {source.stat().st_size}", source)
     content, assets = source.read_bytes(), Assets(source)
     check_kind(content, source)
-    suffix = source.suffix.lower()
-    if suffix in (".glb", ".gltf"):
-        parts = read_gltf(content, assets, MAX_FACES)
-    else:
-        parts = read_trimesh(content, suffix, assets)
+    parts = _read(content, source.suffix.lower(), assets)
     total = sum(len(part.faces) for part in parts)
     if total == 0:
         raise DataError("expected triangles, got none", source)
@@ -95,6 +94,27 @@ def load_craft(
     return Craft(
         f"{source.name} sha256:{digest} {' '.join(changes)}", mesh, materials, is_even=False
     )
+
+
+def _read(content: bytes, suffix: str, assets: Assets) -> list[Part]:
+    """Return the parts of a file of a format."""
+    try:
+        if suffix == ".obj":
+            return read_obj(content, assets)
+        if suffix == ".stl":
+            return read_stl(content)
+        if suffix == ".ply":
+            return read_ply(content, assets)
+        return read_gltf(content, assets, MAX_FACES)
+    except MissingExtraError:
+        raise
+    except DataError as error:
+        if error.file is None:  # which readers leave to this
+            raise DataError(error.message, assets.source, error.line) from error
+        raise
+    except Exception as error:  # a broken file has anything in place of what is expected
+        what = "a glTF document" if suffix in (".glb", ".gltf") else "a triangle mesh"
+        raise DataError(f"expected {what}, got {one_line(error)}", assets.source) from error
 
 
 def _raised(up: Up) -> FloatArray:

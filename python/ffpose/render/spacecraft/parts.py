@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import zip_longest
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh
+from ffpose.render.spacecraft.textures import linear
 
 Floats = NDArray[np.float32]
+
+
+GRAY, ROUGHNESS = 0.4, 0.55
+"""Color, sRGB, and roughness of what has no material."""
 
 
 class Part(NamedTuple):
@@ -85,11 +89,28 @@ def _colors(part: Part) -> Floats:
     return _of_corners(part, part.colors, (1, 1, 1, 1))
 
 
-def check_shape(points: NDArray[np.float64], faces: NDArray[Any], source: Path) -> None:
-    """Raise a DataError unless vertices (V, 3) are finite, and faces (F, 3) between them."""
+def light(codes: ArrayLike) -> Floats:
+    """Return sRGB colors (N, 3) in 0…1 as linear ones (N, 4) without transparency."""
+    values = linear(np.clip(codes, 0, 1)).astype(np.float32)
+    return np.pad(values, ((0, 0), (0, 1)), constant_values=1)
+
+
+def unit_normals(vectors: NDArray[np.float64]) -> Floats:
+    """Return vectors (N, 3) of length one, NaN where they have none."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    found = np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 0)
+    return np.asarray(found, np.float32)
+
+
+def check_finite(points: NDArray[np.float64]) -> None:
+    """Raise a DataError unless vertices are finite."""
     if not np.isfinite(points).all():
-        raise DataError("expected finite vertices, got NaN or infinity", source)
+        raise DataError("expected finite vertices, got NaN or infinity")
+
+
+def check_shape(points: NDArray[np.float64], faces: NDArray[Any]) -> None:
+    """Raise a DataError unless vertices (V, 3) are finite, and faces (F, N) between them."""
+    check_finite(points)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
         got = f"{faces.min()}…{faces.max()}"
-        text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
-        raise DataError(text, source)
+        raise DataError(f"expected faces that name vertices 0…{len(points) - 1}, got {got}")

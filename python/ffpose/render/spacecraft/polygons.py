@@ -1,4 +1,4 @@
-"""Triangles of polygons, of which trimesh takes fans.
+"""Triangles of polygons.
 
 A fan from the first corner fills a convex polygon. That of a concave one also covers what is
 outside of it, and folds back.
@@ -16,7 +16,16 @@ FLAT = 1e-6
 """Area, relative to the polygon's, below which a triangle has none."""
 
 
-def folded(points: Floats) -> NDArray[np.bool_]:
+def triangulated(points: Floats) -> NDArray[np.intp]:
+    """Return the triangles (P, N - 2, 3) of polygons (P, N, 3), numbers of their corners."""
+    fan = [(0, k, k + 1) for k in range(1, points.shape[1] - 1)]
+    corners = np.tile(np.array(fan, np.intp), (len(points), 1, 1))
+    for k in np.flatnonzero(_folded(points)):
+        corners[k] = _clipped(points[k])
+    return corners
+
+
+def _folded(points: Floats) -> NDArray[np.bool_]:
     """Return of which polygons (P, N, 3) the fan from the first corner folds back, (P,)."""
     fans = _fans(points)
     total = fans.sum(axis=1)
@@ -25,7 +34,7 @@ def folded(points: Floats) -> NDArray[np.bool_]:
     return np.asarray((along < least[:, None]).any(axis=1))
 
 
-def triangles(points: Floats) -> list[Triangle]:
+def _clipped(points: Floats) -> list[Triangle]:
     """Return the triangles of a polygon (N, 3), numbers of its corners, by clipping ears.
 
     An ear is a triangle of neighbors that holds no other corner (Meisters 1975, "Polygons have

@@ -8,12 +8,15 @@ image of other sides is averaged by area.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ffpose.errors import DataError
+from ffpose.render.spacecraft.meshassets import one_line
 
 Floats = NDArray[np.float32]
 
@@ -182,3 +185,71 @@ def _power_of_two(side: int, most: int) -> int:
 def _eight_bits(image: Any) -> Any:
     """Return an image of one channel of 16 or 32 bits as one of 8."""
     return image.point(lambda code: code / 256).convert("L") if image.mode[0] == "I" else image
+
+
+class Key(NamedTuple):
+    """What a pyramid is made of.
+
+    Attributes:
+        image: Number or name of the image in the file.
+        convert: What turns its codes into values; for one pyramid always the same function.
+        wrap: What lies beyond its border to the right and downward.
+    """
+
+    image: int | str
+    convert: Convert
+    wrap: tuple[int, int] = (REPEAT, REPEAT)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A texture of a material.
+
+    Attributes:
+        image: Its values at every resolution.
+        layer: Which of `Mesh.layers` has its coordinates.
+    """
+
+    image: Pyramid
+    layer: int = 0
+
+
+Slots = dict[str, tuple[Key, Source]]
+"""What the textures of a material are made of, and where their coordinates come from, by field."""
+
+
+class Pyramids:
+    """Pyramids that all together fit in `BUDGET`, each made when it is first asked for.
+
+    ``slots`` are those of all materials. ``opened`` opens an image of which Pillow has read the
+    head: its pixels are gone when its pyramid is made.
+    """
+
+    def __init__(self, slots: Iterable[Slots], opened: Callable[[Any], Any]) -> None:
+        self._opened = opened
+        self._made: dict[Key, Pyramid] = {}
+        wanted = dict.fromkeys(key for each in slots for key, _ in each.values())
+        sizes = {image: opened(image).size for image in dict.fromkeys(key.image for key in wanted)}
+        self._most = largest_side([sizes[key.image] for key in wanted])
+
+    def textures(self, slots: Slots) -> tuple[dict[str, Texture], tuple[Source, ...]]:
+        """Return a material's textures by field, and the sources of their layers of coordinates."""
+        sources, found = dict[Source, int](), dict[str, Texture]()
+        for field, (key, source) in slots.items():
+            found[field] = Texture(self.get(key), sources.setdefault(source, len(sources)))
+        return found, tuple(sources)
+
+    def get(self, key: Key) -> Pyramid:
+        """Return a pyramid; a DataError if its image cannot be decoded."""
+        if key not in self._made:
+            self._made[key] = self.build(key)
+        return self._made[key]
+
+    def build(self, key: Key, most: int = MAX_SIDE) -> Pyramid:
+        """Return a pyramid of at most so many texels a side, which is not kept."""
+        image = self._opened(key.image)
+        try:
+            return build_pyramid(image, key.convert, min(most, self._most), key.wrap)
+        except (OSError, SyntaxError, ValueError) as error:
+            text = f"expected texture {key.image!r} that can be decoded, got {one_line(error)}"
+            raise DataError(text) from error

@@ -261,9 +261,11 @@ SRGB = {0: 0.0, 102: 0.132868, 153: 0.318547, 255: 1.0}
 def test_the_colors_of_binary_stl_files(tmp_path, head, codes, colors):
     triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)
     (tmp_path / "colors.stl").write_bytes(stl(triangles, 4, head.rjust(80), codes))
-    found = load_craft(tmp_path / "colors.stl").mesh.colors[:, 0, :3]
+    craft = load_craft(tmp_path / "colors.stl")
+    found = np.ones(3) if craft.mesh.colors is None else craft.mesh.colors[:, 0, :3]
     expected = [[SRGB[code] for code in color] for color in colors]
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    light = np.broadcast_to(found * craft.materials[0].color, (4, 3))
+    np.testing.assert_allclose(light, expected, atol=1e-5)
 
 
 CORNER_COLORS = (RED, BLUE, PINK, GRAY)
@@ -521,3 +523,94 @@ def test_an_stl_solid_may_be_named_vertex(tmp_path):
     assert text.startswith("solid")
     named = "solid Vertex_Holder" + text[text.index("\n") :]
     np.testing.assert_array_equal(shape(tmp_path, "named.stl", named), plain)
+
+
+def test_without_materials_texture_coordinates_paint_nothing(tmp_path):
+    text = POINTS + "vt 0 0\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
+    (tmp_path / "a.obj").write_text(text)
+    (material,) = load_craft(tmp_path / "a.obj").materials
+    assert (material.color, material.maps) == (pytest.approx((SRGB[102],) * 3, abs=1e-5), ())
+
+
+def test_vertices_have_their_colors_beside_texture_coordinates_and_others_without(tmp_path):
+    """White multiplies nothing: the last vertex has no color of its own."""
+    lines = obj_of_colors().splitlines()
+    lines[3] = " ".join(lines[3].split()[:4])
+    text = "\n".join(lines).replace("f 1 3 2", "f 1/1 3/1 2/1") + "\nvt 0 0\n"
+    (tmp_path / "a.obj").write_text(text)
+    craft = load_craft(tmp_path / "a.obj")
+    first = craft.mesh.colors[0, :, :3] * craft.materials[0].color
+    light = [[SRGB[code] for code in color] for color in (RED, PINK, BLUE)]
+    np.testing.assert_allclose(first, light, atol=1e-5)
+    last = craft.mesh.vertices[craft.mesh.faces] == (0, 0, 1)
+    np.testing.assert_array_equal(craft.mesh.colors[last.all(axis=-1)], 1)
+
+
+def test_faces_without_normals_leave_the_others_theirs(tmp_path):
+    """A normal that is no number, as old programs write, is none."""
+    text = POINTS + "vn 0 0.6 0.8\nvn -nan(ind) 0 0\nf 1//1 3//1 2//1\nf 1 2 4\nf 1//2 4//2 3//2\n"
+    (tmp_path / "a.obj").write_text(text)
+    normals = load_craft(tmp_path / "a.obj").mesh.normals
+    np.testing.assert_allclose(normals[0], [(0, 0.6, 0.8)] * 3, atol=1e-6)
+    assert np.isnan(normals[1:]).all()
+
+
+def test_a_material_without_a_name_is_that_of_faces_that_name_none(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl\nKd 1 0 0\n")
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{POINTS}usemtl\n{FACES}")
+    assert load_craft(tmp_path / "a.obj").materials[0].color == (1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("Kd red", "expected numbers after kd of a material, got 'red'"),
+        ("Kd 0.5 0.5", "expected numbers after kd of a material, got '0.5 0.5'"),
+        ("Ns nan", "expected numbers after ns of a material, got 'nan'"),
+        ("Ke 1e999 0 0", "expected numbers after ke of a material, got '1e999 0 0'"),
+    ],
+)
+def test_numbers_of_materials_that_are_none_are_named(tmp_path, line, message):
+    (tmp_path / "a.mtl").write_text(f"newmtl a\n{line}\n")
+    assert refused(tmp_path, "a.obj", f"mtllib a.mtl\n{POINTS}usemtl a\n{FACES}")[1] == message
+
+
+def test_polygons_of_a_binary_ply_are_not_taken_for_triangles_by_their_number(tmp_path):
+    """Two, three and four corners, together as many as three triangles."""
+    faces = [(0, 2, 1), (0, 1), (0, 1, 2, 3)]
+    mesh = load_craft(colored_ply(tmp_path, faces, binary=True)).mesh
+    points = np.array([[float(word) for word in line.split()[1:]] for line in POINTS.splitlines()])
+    expected = points[[(0, 2, 1), (0, 1, 2), (0, 2, 3)]]
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], expected)
+
+
+def test_a_textured_ply_file_has_its_normals_and_coordinates(tmp_path):
+    """A square of two triangles, whose corners have other places in the texture."""
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    head = "ply\nformat ascii 1.0\ncomment TextureFile red.png\nelement vertex 4\n"
+    head += "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+    head += "element face 2\nproperty list uchar int vertex_indices\n"
+    head += "property list uchar float texcoord\nend_header\n"
+    rows = [f"{x} {y} 0 0 {x} {2 - x}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    rows += ["3 0 1 2 6 0 0 1 0 1 1", "3 0 2 3 6 0.5 0 1 1 0 1"]
+    (tmp_path / "a.ply").write_text(head + "\n".join(rows) + "\n")
+    mesh = load_craft(tmp_path / "a.ply").mesh
+    np.testing.assert_allclose(mesh.layers[0][1], [(0.5, 1), (1, 0), (0, 0)])
+    half = np.sqrt(0.5)
+    expected = [[(0, 0, 1), (0, half, half), (0, half, half)]]
+    expected += [[(0, 0, 1), (0, half, half), (0, 0, 1)]]
+    np.testing.assert_allclose(mesh.normals, expected, atol=1e-6)
+
+
+def test_a_ply_texture_without_coordinates_is_told(tmp_path, caplog):
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    text = PLY.replace("comment element none", "comment TextureFile red.png")
+    shape(tmp_path, "a.ply", text)
+    assert "texture 'red.png' is left out, as there are no texture coordinates" in caplog.text
+
+
+def test_a_ply_text_of_other_types_than_it_states_is_named(tmp_path):
+    row = PLY.splitlines().index("7 3 0 3 2") + 1
+    line, message = refused(tmp_path, "row.ply", PLY.replace("7 3 0 3 2", "7 3 0 3 x"))
+    assert line == row
+    assert message == "expected values of face of the types that are stated, got '7 3 0 3 x'"
