@@ -99,6 +99,7 @@ def test_shadow_is_a_matter_of_the_horizon():
     [
         {"distance_m": (0.0, 5.0)},
         {"distance_m": (9.0, 8.0)},
+        {"distance_m": (9.0, math.inf)},
         {"lateral_m": -1.0},
         {"attitude_range_deg": (180.0, 100.0, 180.0)},
         {"min_visible": 1.5},

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -184,6 +185,16 @@ def test_frames_that_are_damaged_are_rendered_again(tmp_path):
     again = write_sequence(short(), tmp_path)
     assert (again.rendered, again.kept) == (3, 1)
     assert [path.read_bytes() for path in paths] == whole
+
+
+def test_a_sequence_larger_than_the_disk_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
+    room = shutil.disk_usage(tmp_path)._replace(free=100)
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.disk_usage", lambda path: room)
+        with pytest.raises(OSError, match="4 frames need at least"):
+            write_sequence(short(), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    assert write_sequence(short(6, frames=1), tmp_path / "new").rendered == 1
 
 
 def test_dropped_frames_leave_the_others_as_they_are(tmp_path):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose import DataError
 from ffpose.geometry import Pose
 from ffpose.render import (
     SCENES,
@@ -282,9 +283,12 @@ def test_foreign_images_are_left_alone(tmp_path):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
 
 
-def test_broken_manifest_is_named(tmp_path):
-    (tmp_path / "manifest.json").write_text("{")
-    with pytest.raises(ValueError, match=r"manifest\.json"):
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"parameters": [], "versions": {}, "files": {}}', '{"parameters": {}}']
+)
+def test_broken_manifest_is_named(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(DataError, match=r"manifest\.json"):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
 
 

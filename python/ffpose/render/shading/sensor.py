@@ -58,15 +58,15 @@ class Sensor:
     jpeg_quality: int = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.bloom, self.read_noise, self.exposure_spread)
-        if min(numbers) < 0 or self.full_well < 1 or not 0 <= self.vignette < 1:
-            raise ValueError(
-                "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
-                f"below 1, got {self}"
-            )
+        for name in ("bloom", "read_noise", "exposure_spread"):
+            value = getattr(self, name)
+            expect(0 <= value < math.inf, name, "a finite number of at least 0", value)
+        expect(1 <= self.full_well < math.inf, "full_well", "at least 1", self.full_well)
+        expect(0 <= self.vignette < 1, "vignette", "at least 0 and below 1", self.vignette)
         expect(0 <= self.blur_px <= BLUR_LIMIT, "blur_px", f"0…{BLUR_LIMIT}", self.blur_px)
-        if not 0 <= self.motion_px <= MOTION_LIMIT:
-            raise ValueError(f"motion_px: expected 0…{MOTION_LIMIT}, got {self.motion_px}")
+        expect(
+            0 <= self.motion_px <= MOTION_LIMIT, "motion_px", f"0…{MOTION_LIMIT}", self.motion_px
+        )
         expect(self.jpeg_quality in range(101), "jpeg_quality", "0…100", self.jpeg_quality)
 
 
