@@ -34,7 +34,7 @@ def rotations(q):
 @pytest.fixture(scope="module", params=["approach", "tumble", "flyby"])
 def motion(request):
     times = np.arange(60) / 2
-    return sample_motion(request.param, SCENE, SCENE.build(), times, np.random.default_rng(1))
+    return sample_motion(request.param, SCENE, times, np.random.default_rng(1))
 
 
 def test_motions_stay_in_the_scenes_ranges_and_in_view(motion):
@@ -51,7 +51,7 @@ def test_a_small_spacecraft_may_be_as_near_as_in_images():
     """A fortieth of a Soyuz, whole in front of the camera but nearer than half a meter."""
     craft = SCENE.build().scaled(1 / 40)
     near = replace(SCENE, craft=craft, distance_m=(0.3, 0.45), lateral_m=0.05)
-    motion = sample_motion("tumble", near, craft, np.arange(3) / 2, np.random.default_rng(0))
+    motion = sample_motion("tumble", near, np.arange(3) / 2, np.random.default_rng(0))
     depths = rotations(motion.q[0]).apply(craft.outline)[:, 2] + motion.t[0, 2]
     assert 0.03 < depths.min() < 0.5
 
@@ -64,7 +64,7 @@ def test_velocities_are_the_derivatives_of_the_poses(motion):
 
 def test_a_tumble_keeps_angular_momentum_and_energy():
     craft = SCENE.build()
-    motion = sample_motion("tumble", SCENE, craft, np.arange(240) / 2, np.random.default_rng(2))
+    motion = sample_motion("tumble", SCENE, np.arange(240) / 2, np.random.default_rng(2))
     points = craft.outline - craft.outline.mean(axis=0)
     inertia = (points**2).sum() * np.eye(3) - points.T @ points
     momentum = rotations(motion.q).apply(motion.w @ inertia)

@@ -16,7 +16,12 @@ from ffpose.arrays import shade_earth
 from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render import mitsuba
-from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
+from ffpose.render.sampler import (
+    Surroundings,
+    horizon_cosine,
+    sample_pose,
+    sample_surroundings,
+)
 from ffpose.render.scene import Scene
 from ffpose.render.scene_file import find_scene
 from ffpose.render.shading.alpha_test import AlphaTest
@@ -135,18 +140,16 @@ def shoot_each(
     The radiance, which takes nearly all of the time, is computed once.
     """
     pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
-    craft = scene.build()
-    pose = sample_pose(scene, craft, pose_rng)
+    pose = sample_pose(scene, pose_rng)
     around = sample_surroundings(scene, light_rng)
     radiance = background(scene, camera, around, star_rng, odd_rng, side)
     lit = np.zeros((3, 0), dtype=np.float32)
     if not empty:
-        materials = materials_of(scene, odd_rng)
-        light = object_light(pose, around, scene, odd_rng)
+        subject = subject_of(scene, pose, around, odd_rng, surface_rng)
         if scene.renderer == "mitsuba":
-            lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
+            craft, _, light, rng = subject
+            lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, rng)
         else:
-            subject = Subject(craft, materials, light, surface_rng)
             lit = draw_craft(radiance, camera, pose, subject)
     frames = []
     for sensor in sensors:
@@ -160,7 +163,7 @@ def shoot_each(
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
     """Return the pose of image `index` without rendering it; arguments and errors as `render`."""
     scene = find_scene(scene)
-    return sample_pose(scene, scene.build(), _streams(seed, index)[0])
+    return sample_pose(scene, _streams(seed, index)[0])
 
 
 class Situation(NamedTuple):
@@ -181,7 +184,7 @@ def situation(scene: Scene | str, seed: int, index: int) -> Situation:
     """Return the arrangement of image `index` without rendering it."""
     scene = find_scene(scene)
     pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)
-    pose = sample_pose(scene, scene.build(), pose_rng)
+    pose = sample_pose(scene, pose_rng)
     around = sample_surroundings(scene, light_rng)
     return Situation(pose, around, bool(odd_rng.random() < scene.randomization.background))
 
@@ -200,12 +203,6 @@ def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     """Return ray tracer and material tables of a spacecraft, built once for each."""
     materials = MaterialTable(craft)
     return Tracer(craft.mesh, AlphaTest(craft, materials.maps)), materials
-
-
-def materials_of(scene: Scene, rng: Generator) -> MaterialTable:
-    """Return the material tables of a scene's spacecraft, varied as its randomization says."""
-    materials, spread = prepared(scene.build())[1], scene.randomization.materials
-    return materials.varied(spread, rng) if spread > 0 else materials
 
 
 def _streams(seed: int, index: int) -> list[Generator]:
@@ -259,6 +256,17 @@ class Subject(NamedTuple):
     materials: MaterialTable
     light: Light
     rng: Generator
+
+
+def subject_of(
+    scene: Scene, pose: Pose, around: Surroundings, odd_rng: Generator, surface_rng: Generator
+) -> Subject:
+    """Return a scene's spacecraft, its materials and lights varied as the randomization says."""
+    craft, spread = scene.build(), scene.randomization.materials
+    materials = prepared(craft)[1]
+    if spread > 0:
+        materials = materials.varied(spread, odd_rng)
+    return Subject(craft, materials, object_light(pose, around, scene, odd_rng), surface_rng)
 
 
 def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -> Floats:
@@ -315,14 +323,13 @@ def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: Generator)
     """Return the lights in the object frame, varied as the set's randomization says."""
     spread = scene.randomization.light
     back = pose.rotation.T
-    horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
     # The lit part of the Earth's disk grows with the sun's height over the ground below.
     above = float(-around.sun @ around.nadir)
     return Light(
         sun=(back @ around.sun).astype(np.float32),
         nadir=(back @ around.nadir).astype(np.float32),
         earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0) * stops(spread, (), rng)),
-        horizon=horizon,
+        horizon=horizon_cosine(around.altitude),
         sunlight=0.0 if around.eclipsed else 1.0,
         lamp=scene.lamp if around.eclipsed else 0.0,
         tint=stops(spread, (3, 1), rng),

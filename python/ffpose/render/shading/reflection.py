@@ -34,6 +34,9 @@ BOUNCE = 0.2
 LEAST_SLANT = 0.125
 """Cosine to which a texture seen from the side is averaged, as if no more slanted."""
 
+VALUES = ("color", "roughness", "metallic", "emission", "reflectance")
+"""Fields of a material, and of a `Surface`, that textures and patterns change."""
+
 LIFT_M = 2e-3
 """Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
 
@@ -65,27 +68,29 @@ class MaterialTable:
 
     def __init__(self, craft: Craft) -> None:
         table = craft.materials
+        self._values: dict[str, Floats] = {
+            name: np.array([getattr(material, name) for material in table], np.float32).T
+            for name in VALUES
+        }
         self._uv = craft.mesh.uv.astype(np.float32)
         self._normals = craft.mesh.corner_normals
         self._sides = _sides(craft.mesh)
         self._material = craft.mesh.material
-        self._color = np.array([m.color for m in table], dtype=np.float32).T
-        self._emission = np.array([m.emission for m in table], dtype=np.float32).T
-        self._roughness = np.array([m.roughness for m in table], dtype=np.float32)
-        self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
         self._pattern = np.array([m.pattern for m in table])
         self._scale = np.array([m.scale for m in table], dtype=np.float32)
-        self._reflectance = np.array([m.reflectance for m in table], dtype=np.float32).T
         self._tints = craft.mesh.colors
         self._mapped = [number for number, m in enumerate(table) if m.maps]
         self.maps = Maps(craft)
 
     def varied(self, spread: float, rng: np.random.Generator) -> MaterialTable:
         """Return a copy with every material's color and roughness varied by random stops."""
+        color, rough = (
+            self._values[name] * stops(spread, self._values[name].shape, rng)
+            for name in ("color", "roughness")
+        )
+        varied = {"color": np.minimum(color, 1), "roughness": np.clip(rough, LEAST_ROUGHNESS, 1)}
         other = copy.copy(self)
-        other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
-        rough = self._roughness * stops(spread, self._roughness.shape, rng)
-        other._roughness = np.clip(rough, LEAST_ROUGHNESS, 1)
+        other._values = self._values | varied
         return other
 
     def surface(self, view: View, footprint: Floats, samples: int = 1) -> Surface:
@@ -99,14 +104,8 @@ class MaterialTable:
         normal = _blend(self._normals.take(face, axis=0), weights)
         turned = dot(self._sides.take(face, axis=1), view.rays) > 0
         number = self._material.take(face)
-        surface = Surface(
-            self._color.take(number, axis=1),
-            self._roughness.take(number),
-            self._metallic.take(number),
-            self._emission.take(number, axis=1),
-            normal,
-            self._reflectance.take(number, axis=1),
-        )
+        values = {name: table.take(number, axis=-1) for name, table in self._values.items()}
+        surface = Surface(normal=normal, **values)
         if self._tints is not None:
             surface.color[:] *= _blend(self._tints[..., :3].take(face, axis=0), weights)
         if self._mapped:
