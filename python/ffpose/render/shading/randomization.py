@@ -53,5 +53,4 @@ def backdrop(rays: Floats, rng: np.random.Generator) -> Floats:
     scale = np.exp2(rng.uniform(1.0, 6.0))
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     part = np.clip(0.5 + fbm(rotate(scale * turn, rays), 6, 0.6), 0, 1)
-    result: Floats = first + (second - first) * part
-    return result
+    return np.asarray(first + (second - first) * part)

@@ -57,8 +57,7 @@ class View(NamedTuple):
     @property
     def place(self) -> Floats:
         """Hit points (3, H), meters."""
-        result: Floats = self.eye[:, None] + self.rays * self.hits.distance
-        return result
+        return np.asarray(self.eye[:, None] + self.rays * self.hits.distance)
 
 
 @lru_cache(maxsize=4)

@@ -189,8 +189,7 @@ def earth_visible(
     blocked = np.zeros(place.shape[1], dtype=np.float32)
     for toward in (middle + scatter, middle - scatter):
         blocked += tracer.blocked(start.T, unit(toward).T)
-    result: Floats = 1 - np.float32((1 - BOUNCE) / 2) * blocked
-    return result
+    return np.asarray(1 - np.float32((1 - BOUNCE) / 2) * blocked)
 
 
 def reflected(
@@ -225,22 +224,19 @@ def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> F
     cos_sun = np.maximum(dot(sun, surface.normal), np.float32(1e-3))
     lobe = _lobe(surface, facing) / (_reach(surface, cos_view) * _reach(surface, cos_sun))
     grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
-    result: Floats = (mirror + (1 - mirror) * grazing) * lobe
-    return result
+    return np.asarray((mirror + (1 - mirror) * grazing) * lobe)
 
 
 def _lobe(surface: Surface, facing: Floats) -> Floats:
     """Evaluate GGX's density of microfacets that face the half vector, times pi."""
     slope = surface.roughness**4
-    result: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
-    return result
+    return np.asarray(slope / (facing * facing * (slope - 1) + 1) ** 2)
 
 
 def _reach(surface: Surface, cosine: Floats) -> Floats:
     """Evaluate the denominator of Smith's shadowing for one direction, without twice the cosine."""
     slope = surface.roughness**4
-    result: Floats = cosine + np.sqrt(slope + (1 - slope) * cosine * cosine)
-    return result
+    return np.asarray(cosine + np.sqrt(slope + (1 - slope) * cosine * cosine))
 
 
 def _earth_shine(
@@ -269,8 +265,7 @@ def _sides(mesh: Mesh) -> Floats:
     """
     sides = mesh.face_normals.T.astype(np.float32)
     outward = dot(sides, mesh.corner_normals.sum(axis=1).T)
-    result: Floats = np.where(outward < 0, -sides, sides)
-    return result
+    return np.asarray(np.where(outward < 0, -sides, sides))
 
 
 def _face_eye(normal: Floats, rays: Floats) -> Floats:
@@ -282,5 +277,4 @@ def _face_eye(normal: Floats, rays: Floats) -> Floats:
 def _blend(corners: Floats, weights: Floats) -> Floats:
     """Interpolate corner values (N, 3, K) by barycentric weights (3, N); returns (K, N)."""
     first, second, third = weights
-    result: Floats = first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T
-    return result
+    return np.asarray(first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T)
