@@ -25,13 +25,7 @@ from ffpose.errors import expect, require
 from ffpose.geometry import Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
-from ffpose.render.layers import (
-    check_labels,
-    depth_step,
-    label_files,
-    render_layers,
-    write_layers,
-)
+from ffpose.render.layers import check_labels, depth_step, label_files, render_layers, write_layers
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import camera_of, label, render
 from ffpose.render.scene import Scene
@@ -258,31 +252,21 @@ def readable(path: Path, size: tuple[int, int]) -> bool:
 
 @contextmanager
 def _bar(total: int, done: int, show: bool) -> Iterator[Callable[[], None]]:
+    from rich import progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeRemainingColumn,
-    )
     from rich.text import Text
 
-    class Speed(ProgressColumn):
-        def render(self, task: Task) -> Text:
+    class Speed(progress.ProgressColumn):
+        def render(self, task: progress.Task) -> Text:
             return Text(f"{task.speed:.1f} images/s" if task.speed else "")
 
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        Speed(),
-        TimeRemainingColumn(),
+    columns = progress.BarColumn(), progress.MofNCompleteColumn(), Speed()
+    with progress.Progress(
+        "render",
+        *columns,
+        progress.TimeRemainingColumn(),
         console=Console(stderr=True),
         disable=not show,
-    )
-    with bar:
+    ) as bar:
         task = bar.add_task("render", total=total, completed=done)
         yield lambda: bar.advance(task)
