@@ -105,6 +105,7 @@ def test_shadow_is_a_matter_of_the_horizon():
         {"min_visible": 1.5},
         {"max_visible": 0.8},  # less than the least
         {"eclipse_rate": -0.1},
+        {"lamp": math.nan},
         {"camera": DistortedCamera(64, 48, 60, 60, 32, 24, (0.1, 0, 0, 0, 0))},  # no pinhole
     ],
 )

@@ -64,7 +64,7 @@ def test_a_file_that_is_no_set_is_named(tmp_path, change, message):
     path = tmp_path / "scene.json"
     file = SceneFile("box", tmp_path / "box.stl", 1.0, (4.0, 5.0), (180.0, 90.0, 180.0), CAMERA)
     file.write(path)
-    assert find_scene(str(path)).distance_m == (4.0, 5.0)
+    assert find_scene(path) == find_scene(str(path))
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(DataError, match=rf"scene\.json: .*{message}"):
         find_scene(str(path))

@@ -209,6 +209,11 @@ def test_dropped_frames_leave_the_others_as_they_are(tmp_path):
         np.testing.assert_array_equal(np.asarray(image), render_frame(sequence, last))
 
 
+def test_a_trajectory_without_a_pose_is_refused():
+    with pytest.raises(ValueError, match="trajectory: expected at least one pose"):
+        Sequence.along(SCENE, Trajectory.through(np.array([]), []))
+
+
 def test_fast_motion_blurs_and_a_rolling_shutter_shears():
     """A far sideways motion smears the outline along it; nothing else of the frame changes."""
     still = Trajectory.through(np.array([0.0]), [Pose([0, 0, 15], [1, 0, 0, 0])])

@@ -72,7 +72,7 @@ class Layers(NamedTuple):
 
 
 def render_layers(
-    scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> Layers:
     """Compute the ground truth of the image that `render` makes of the same arguments.
 

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +66,9 @@ class Frame(NamedTuple):
     camera: Camera
 
 
-def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None) -> Frame:
+def render(
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
+) -> Frame:
     """Render one image; the same arguments give the same bytes.
 
     Args:
@@ -88,7 +91,7 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
 
 
 def render_empty(
-    scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
     """Render the image that `render` makes of the same arguments, without the spacecraft.
 
@@ -160,7 +163,7 @@ def shoot_each(
     return frames
 
 
-def label(scene: Scene | str, seed: int, index: int) -> Pose:
+def label(scene: Scene | str | Path, seed: int, index: int) -> Pose:
     """Return the pose of image `index` without rendering it; arguments and errors as `render`."""
     scene = find_scene(scene)
     return sample_pose(scene, _streams(seed, index)[0])
@@ -180,7 +183,7 @@ class Situation(NamedTuple):
     backdrop: bool
 
 
-def situation(scene: Scene | str, seed: int, index: int) -> Situation:
+def situation(scene: Scene | str | Path, seed: int, index: int) -> Situation:
     """Return the arrangement of image `index` without rendering it."""
     scene = find_scene(scene)
     pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)

@@ -97,6 +97,7 @@ class Scene:
         )
         expected = "(roll, pitch, yaw) within 0…180, 0…90, 0…180"
         expect(within, "attitude_range_deg", expected, angles)
+        expect(0 <= self.lamp < math.inf, "lamp", "a finite number of at least 0", self.lamp)
         for name in ("min_visible", "max_visible", "eclipse_rate"):
             expect(0 <= getattr(self, name) <= 1, name, "0…1", getattr(self, name))
         expected = f"min_visible {self.min_visible} or more"

@@ -95,7 +95,7 @@ class SceneFile:
 
 
 def find_scene(
-    scene: str | Scene, attitude_range_deg: tuple[float, float, float] | None = None
+    scene: Scene | str | Path, attitude_range_deg: tuple[float, float, float] | None = None
 ) -> Scene:
     """Return a set by its name, or by its file, whose name ends with ``.json``.
 
@@ -110,12 +110,11 @@ def find_scene(
     """
     if isinstance(scene, Scene):
         found = scene
-    elif scene.endswith(SUFFIX):
+    elif Path(scene).suffix == SUFFIX:
         found = _opened(Path(scene))
-    elif scene in SCENES:
-        found = SCENES[scene]
     else:
-        raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {scene!r}")
+        expect(scene in SCENES, "scene", f"one of {', '.join(SCENES)}", scene)
+        found = SCENES[str(scene)]
     if attitude_range_deg is None:
         return found
     return replace(found, attitude_range_deg=attitude_range_deg)

@@ -65,6 +65,7 @@ class Sequence:
         """Return the sequence of a given motion; a ValueError if another renderer is asked for."""
         expect(scene.renderer == "ffpose", "renderer", "ffpose for sequences", scene.renderer)
         expect(seed >= 0, "seed", "at least 0", seed)
+        expect(len(trajectory.times) > 0, "trajectory", "at least one pose", 0)
         seconds = float(trajectory.times[-1] - trajectory.times[0])
         orbit = sample_orbit(scene, seconds, np.random.default_rng([seed, SEQUENCE, 1]))
         return cls(scene, seed, trajectory, orbit, camera_of(scene, size))

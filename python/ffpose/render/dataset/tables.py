@@ -42,7 +42,7 @@ class Conditions(NamedTuple):
     visible_share: float
 
 
-def conditions_of(scene: Scene | str, seed: int, index: int) -> Conditions:
+def conditions_of(scene: Scene | str | Path, seed: int, index: int) -> Conditions:
     """Return the conditions of the image that `render` makes of these arguments, at any size."""
     scene = find_scene(scene)
     pose, around, backdrop = situation(scene, seed, index)

@@ -70,7 +70,7 @@ class Written(NamedTuple):
 
 
 def write_dataset(
-    scene: Scene | str,
+    scene: Scene | str | Path,
     out: str | Path,
     count: int,
     seed: int = 0,
