@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write, write_csv
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene
@@ -131,9 +132,8 @@ def depth_step(scene: Scene) -> float:
 
 def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the names once each, in the order of `LABELS`; a ValueError for another name."""
-    unknown = [name for name in labels if name not in LABELS]
-    if unknown:
-        raise ValueError(f"labels: expected some of {', '.join(LABELS)}, got {unknown[0]!r}")
+    for name in labels:
+        expect(name in LABELS, "labels", f"some of {', '.join(LABELS)}", name)
     return tuple(name for name in LABELS if name in labels)
 
 

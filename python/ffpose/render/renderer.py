@@ -48,6 +48,9 @@ BLOCK = 8192
 BAND = 1 << 16
 """Spacecraft samples per block: small enough that the temporaries stay in the CPU's cache."""
 
+NO_LIGHT: Floats = np.zeros((3, 0), dtype=np.float32)
+"""Radiance of no samples."""
+
 SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
 """Samples along each side of a pixel, by the fraction of the frame that the spacecraft fills."""
 
@@ -146,7 +149,7 @@ def shoot_each(
     pose = sample_pose(scene, pose_rng)
     around = sample_surroundings(scene, light_rng)
     radiance = background(scene, camera, around, star_rng, odd_rng, side)
-    lit = np.zeros((3, 0), dtype=np.float32)
+    lit = NO_LIGHT
     if not empty:
         subject = subject_of(scene, pose, around, odd_rng, surface_rng)
         if scene.renderer == "mitsuba":
@@ -210,8 +213,7 @@ def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
 
 def _streams(seed: int, index: int) -> list[Generator]:
     """Seed independent generators for pose, light, stars, sensor, surface and randomization."""
-    if seed < 0 or index < 0:
-        raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
+    expect(min(seed, index) >= 0, "seed and index", "at least 0", (seed, index))
     return default_rng([seed, index]).spawn(6)
 
 
@@ -275,9 +277,7 @@ def subject_of(
 def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -> Floats:
     """Composite the spacecraft over `radiance` and return the radiance (3, H) of its samples."""
     window = find_window(subject.craft.corners, pose, camera)
-    if window is None:
-        return np.zeros((3, 0), dtype=np.float32)
-    return draw_window(radiance, window, camera, pose, subject)
+    return draw_window(radiance, window, camera, pose, subject) if window else NO_LIGHT
 
 
 def draw_alone(craft: Craft, pose: Pose, camera: Camera, light: Light, gray: float = 0.0) -> Floats:

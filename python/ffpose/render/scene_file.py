@@ -91,7 +91,7 @@ class SceneFile:
         mesh = self.mesh.resolve()
         with suppress(ValueError):  # Windows: on another drive
             mesh = Path(os.path.relpath(mesh, path.resolve().parent))
-        write_json(path, asdict(self) | {"mesh": str(mesh)}, 1)
+        write_json(path, asdict(self) | {"mesh": mesh.as_posix()}, 1)
 
 
 def find_scene(

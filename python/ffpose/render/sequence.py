@@ -17,7 +17,7 @@ from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render.motion import Kind, Orbit, sample_motion, sample_orbit
-from ffpose.render.renderer import background, camera_of, draw_window, subject_of
+from ffpose.render.renderer import NO_LIGHT, background, camera_of, draw_window, subject_of
 from ffpose.render.scene import Scene
 from ffpose.render.shading.rays import Window, find_window
 from ffpose.render.shading.sensor import choose_gain, expose
@@ -125,7 +125,7 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
     around = sequence.orbit.at(time)
     radiance = background(scene, camera, around, star_rng, odd_rng, 1, sequence.orbit.turn(time))
     subject = subject_of(scene, sequence.pose(index), around, odd_rng, surface_rng)
-    lit = [np.zeros((3, 0), dtype=np.float32)]
+    lit = [NO_LIGHT]
     total = np.zeros_like(radiance)
     instants = _instants(sequence, index, sequence.exposure_s)
     for instant in instants:

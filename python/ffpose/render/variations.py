@@ -16,18 +16,16 @@ from itertools import groupby, product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffpose import __version__
 from ffpose._internal.files import atomic_write
 from ffpose.imaging.images import read_rgb
+from ffpose.imaging.patches import Bytes
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import Frame, camera_of, label, shoot_each
 from ffpose.render.scene import Scene
 from ffpose.render.shading.sensor import Sensor
-
-Bytes = NDArray[np.uint8]
 
 CUT = (0.3, 0.6)
 """Least and greatest share of the spacecraft that the border leaves."""

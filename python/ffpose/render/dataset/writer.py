@@ -24,7 +24,7 @@ from ffpose._internal.urso import image_name, index_of
 from ffpose.errors import expect, require
 from ffpose.geometry import Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
-from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
+from ffpose.render.dataset.tables import conditions_of, write_tables
 from ffpose.render.layers import check_labels, depth_step, label_files, render_layers, write_layers
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import camera_of, label, render
@@ -200,10 +200,7 @@ def _close_set(
     """Write label files and manifest of a folder that holds these images and no others."""
     poses = {index: label(job.scene, job.seed, index) for index in indices}
     conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
-    tables = [
-        *write_tables(job.folder, poses, camera),
-        write_conditions(job.folder, conditions),
-    ]
+    tables = write_tables(job.folder, camera, poses, conditions)
     files = files | {name: sha256(job.folder / name) for name in tables}
     replace(manifest, files=files).write(job.folder / FILE_NAME)
     for path in parts(job.folder, indices):

@@ -10,6 +10,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from ffpose.errors import expect
 from ffpose.render.shading.patterns import fbm
 from ffpose.render.shading.vectors import Floats, column, rotate
 
@@ -31,10 +32,8 @@ class Randomization:
     materials: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(0 <= strength < np.inf for strength in astuple(self)) or self.background > 1:
-            raise ValueError(
-                f"randomization: expected numbers of at least 0, background at most 1, got {self}"
-            )
+        usable = all(0 <= strength < np.inf for strength in astuple(self)) and self.background <= 1
+        expect(usable, "randomization", "numbers of at least 0, background at most 1", self)
 
     @classmethod
     def of_strength(cls, strength: float) -> Randomization:
