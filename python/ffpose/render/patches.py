@@ -45,7 +45,7 @@ def render_patches(
     level = spec.level(pose.t)
     halved = int(level > 0 and spec.first_stride % 2 == 0)
     camera = spec.level_camera(halved)
-    shot = shoot(scene, seed, index, camera, scene.sensor, empty=empty, side=2**halved)
+    shot = shoot(scene, seed, index, camera, empty=empty, side=2**halved)
 
     def coordinates(pose: Pose, half: Camera) -> Bytes:
         window = spec.window_camera(pose.t, level)

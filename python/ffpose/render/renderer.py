@@ -90,7 +90,7 @@ def render(
         DataError: The file of the scene, or its mesh, cannot be used.
     """
     scene = find_scene(scene)
-    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor)
+    return shoot(scene, seed, index, camera_of(scene, size))
 
 
 def render_empty(
@@ -109,18 +109,11 @@ def render_empty(
         ValueError: An argument is invalid, as for `render`.
     """
     scene = find_scene(scene)
-    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor, empty=True).image
+    return shoot(scene, seed, index, camera_of(scene, size), empty=True).image
 
 
 def shoot(
-    scene: Scene,
-    seed: int,
-    index: int,
-    camera: Camera,
-    sensor: Sensor,
-    *,
-    empty: bool = False,
-    side: int = 1,
+    scene: Scene, seed: int, index: int, camera: Camera, *, empty: bool = False, side: int = 1
 ) -> Frame:
     """Render scene `index` with any camera at the position of the scene's own.
 
@@ -128,7 +121,7 @@ def shoot(
     along each side of one of this, 1 or 2: sun, stars, glare, noise and exposure are then those of
     that image, averaged. With `empty` the spacecraft is left out.
     """
-    return shoot_each(scene, seed, index, camera, (sensor,), empty=empty, side=side)[0]
+    return shoot_each(scene, seed, index, camera, (scene.sensor,), empty=empty, side=side)[0]
 
 
 def shoot_each(
@@ -141,7 +134,7 @@ def shoot_each(
     empty: bool = False,
     side: int = 1,
 ) -> list[Frame]:
-    """Render with each of several sensors; each image equals that of `shoot` with that sensor.
+    """Render with each of several sensors; each image equals that of a scene with that sensor.
 
     The radiance, which takes nearly all of the time, is computed once.
     """

@@ -270,6 +270,19 @@ def test_lost_layer_is_written_again(tmp_path):
     assert contents(tmp_path) == before
 
 
+def test_a_layer_that_was_cut_off_before_its_hash_was_known_is_written_again(tmp_path):
+    labels = [*LAYERS, "coordinates"]
+    write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
+    before = contents(tmp_path)
+    manifest = json.loads(before["manifest.json"])
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"files": {}}))
+    for name in ("0_mask.png", "1_keypoints.csv", "2_coordinates.png", "3_depth.png"):
+        (tmp_path / name).write_bytes(before[name][: len(before[name]) // 2])
+    done = write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
+    assert (done.rendered, done.kept) == (4, 1)
+    assert contents(tmp_path) == before
+
+
 def test_folder_of_another_set_is_left_alone(folder):
     before = contents(folder)
     with pytest.raises(ValueError, match="seed 7 there, 8 now"):

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from ffpose._internal.files import atomic_write, expect_room, remove_leftovers, sha256
 from ffpose._internal.seeds import refuse_final
 from ffpose._internal.urso import image_name, index_of
-from ffpose.errors import expect, require
+from ffpose.errors import DataError, expect, require
 from ffpose.geometry import Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.dataset.tables import conditions_of, write_tables
@@ -228,22 +228,25 @@ def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> dict[int,
             digests = _digests(job, index)
         except FileNotFoundError:
             continue
-        image = image_name(index)
-        same = all(known.get(name, digest) == digest for name, digest in digests.items())
-        if same and (image in known or readable(job.folder / image, job.size)):
+        if all(
+            known[name] == digest if name in known else readable(job.folder / name, job.size)
+            for name, digest in digests.items()
+        ):
             valid[index] = digests
     return valid
 
 
 def readable(path: Path, size: tuple[int, int]) -> bool:
-    """Return whether a file is a whole image of a size ``(width, height)``."""
-    from PIL import Image
+    """Return whether a file is a whole image of a size ``(width, height)``, or a whole table."""
+    from ffpose.imaging.images import open_image
 
+    if path.suffix == ".csv":
+        return path.read_bytes().endswith(b"\n")
     try:
-        with Image.open(path) as image:
+        with open_image(path) as image:
             image.load()
             return image.size == size
-    except (OSError, SyntaxError):  # Pillow reports some broken files as SyntaxError
+    except (FileNotFoundError, DataError):
         return False
 
 
