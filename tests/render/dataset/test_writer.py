@@ -29,7 +29,9 @@ from ffpose.render import (
     write_dataset,
 )
 from ffpose.render.dataset import tables, writer
+from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.layers import LAYERS, depth_step
+from ffpose.render.sequence import Sequence
 
 SIZE = (64, 48)
 
@@ -294,6 +296,16 @@ def test_foreign_images_are_left_alone(tmp_path):
     Image.new("RGB", SIZE).save(tmp_path / "0_rgb.png")
     with pytest.raises(ValueError, match="images without a manifest"):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
+
+
+def test_the_camera_of_other_images_is_left_alone(tmp_path):
+    """As of a sequence of frames, or of a set of one's own."""
+    frames = Sequence.of_kind("tumble", SCENES["soyuz_easy"], 1, 2, 0, (32, 24))
+    write_sequence(frames, tmp_path)
+    before = contents(tmp_path)
+    with pytest.raises(ValueError, match=r"got camera\.json without a manifest"):
+        write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(

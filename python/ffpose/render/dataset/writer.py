@@ -22,7 +22,7 @@ from ffpose._internal.files import atomic_write, expect_room, remove_leftovers, 
 from ffpose._internal.seeds import refuse_final
 from ffpose._internal.urso import image_name, index_of
 from ffpose.errors import DataError, expect, require
-from ffpose.geometry import Camera
+from ffpose.geometry import CAMERA_FILE, Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.dataset.tables import conditions_of, write_tables
 from ffpose.render.layers import check_labels, depth_step, label_files, render_layers, write_layers
@@ -178,14 +178,15 @@ def _digests(job: Job, index: int) -> dict[str, str]:
 
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     """Return the folder's manifest, checked to be of the same set; None for a new set."""
-    # Images first: another shard that starts right now writes its manifest before its images.
-    images = _holds_images(job.folder)
+    # These first: another shard that starts right now writes its manifest before them.
+    found = ["images"] if _holds_images(job.folder) else []
+    found += [CAMERA_FILE] if (job.folder / CAMERA_FILE).exists() else []
     old = Manifest.read(job.folder / FILE_NAME)
     if old is None:
-        if images:
+        if found:
             raise ValueError(
                 f"{job.folder}: expected an empty folder or a set that was begun here, "
-                "got images without a manifest"
+                f"got {' and '.join(found)} without a manifest"
             )
         return None
     changed = difference(old, manifest)
