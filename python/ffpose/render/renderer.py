@@ -342,9 +342,8 @@ def _composite(
     layer[ray, 3] = 1
     grid = layer.reshape(rows, samples, columns, samples, 4)
     pixels = np.zeros((rows, columns, 4), dtype=np.float32)
-    for i in range(samples):
-        for j in range(samples):
-            pixels += grid[:, i, :, j]
+    for i, j in np.ndindex(samples, samples):
+        pixels += grid[:, i, :, j]
     pixels *= np.float32(1 / samples**2)
     part = radiance[window.top : window.bottom, window.left : window.right]
     part *= 1 - pixels[..., 3:]
