@@ -68,3 +68,13 @@ def test_a_file_that_is_no_set_is_named(tmp_path, change, message):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(DataError, match=rf"scene\.json: .*{message}"):
         find_scene(str(path))
+
+
+def test_of_a_mesh_that_is_broken_or_gone_the_mesh_is_named(tmp_path):
+    mesh, path = tmp_path / "box.stl", tmp_path / "scene.json"
+    SceneFile("box", mesh, 1.0, (4.0, 5.0), (180.0, 90.0, 180.0), CAMERA).write(path)
+    with pytest.raises(FileNotFoundError, match=r"box\.stl"):
+        find_scene(path)
+    mesh.write_text("no mesh")
+    with pytest.raises(DataError, match=r"box\.stl: "):
+        find_scene(path)

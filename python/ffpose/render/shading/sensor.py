@@ -203,8 +203,6 @@ def _add_bloom(signal: Floats, share: float, cell: int) -> None:
     for row, column in np.ndindex(cell, cell):  # several times as fast as a mean over two axes
         excess += beyond[:, row, :, column]
     excess /= cell * cell
-    if not excess.any():
-        return
     spectrum = np.fft.rfft2(excess, (2 * height, 2 * width), axes=(0, 1))
     spectrum *= _halo_spectrum(height, width)[..., None]
     halo = np.fft.irfft2(spectrum, axes=(0, 1))[:height, :width]
