@@ -61,12 +61,15 @@ class Sensor:
         for name in ("bloom", "read_noise", "exposure_spread"):
             value = getattr(self, name)
             expect(0 <= value < math.inf, name, "a finite number of at least 0", value)
-        expect(1 <= self.full_well < math.inf, "full_well", "at least 1", self.full_well)
-        expect(0 <= self.vignette < 1, "vignette", "at least 0 and below 1", self.vignette)
-        expect(0 <= self.blur_px <= BLUR_LIMIT, "blur_px", f"0…{BLUR_LIMIT}", self.blur_px)
         expect(
-            0 <= self.motion_px <= MOTION_LIMIT, "motion_px", f"0…{MOTION_LIMIT}", self.motion_px
+            1 <= self.full_well < math.inf,
+            "full_well",
+            "a finite number of at least 1",
+            self.full_well,
         )
+        expect(0 <= self.vignette < 1, "vignette", "at least 0 and below 1", self.vignette)
+        for name, most in (("blur_px", BLUR_LIMIT), ("motion_px", MOTION_LIMIT)):
+            expect(0 <= getattr(self, name) <= most, name, f"0…{most}", getattr(self, name))
         expect(self.jpeg_quality in range(101), "jpeg_quality", "0…100", self.jpeg_quality)
 
 
