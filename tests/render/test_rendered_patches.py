@@ -28,7 +28,7 @@ def spec_of(width):
 
 def cut_from_the_whole(scene, index, spec):
     """The pieces of the whole image, whose windows reach over its edge."""
-    shot = shoot(scene, SEED, index, spec.camera, scene.sensor)
+    shot = shoot(scene, SEED, index, spec.camera)
     return extract_patches(shot.image, shot.pose, spec)
 
 

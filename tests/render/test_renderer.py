@@ -1,5 +1,6 @@
 """Images are pure functions of their arguments, and look lit as physics says."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -169,7 +170,14 @@ def test_blur_and_bloom_keep_their_place():
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
-    [({"blur_px": -1}, "blur_px"), ({"full_well": 0}, "sensor"), ({"vignette": 1.0}, "sensor")],
+    [
+        ({"blur_px": -1}, "blur_px"),
+        ({"full_well": 0}, "full_well"),
+        ({"full_well": math.inf}, "full_well"),
+        ({"vignette": 1.0}, "vignette"),
+        ({"bloom": math.nan}, "bloom"),
+        ({"read_noise": math.nan}, "read_noise"),
+    ],
 )
 def test_absurd_sensor_is_refused(wrong, said):
     with pytest.raises(ValueError, match=f"^{said}: expected"):

@@ -99,11 +99,13 @@ def test_shadow_is_a_matter_of_the_horizon():
     [
         {"distance_m": (0.0, 5.0)},
         {"distance_m": (9.0, 8.0)},
+        {"distance_m": (9.0, math.inf)},
         {"lateral_m": -1.0},
         {"attitude_range_deg": (180.0, 100.0, 180.0)},
         {"min_visible": 1.5},
         {"max_visible": 0.8},  # less than the least
         {"eclipse_rate": -0.1},
+        {"lamp": math.nan},
         {"camera": DistortedCamera(64, 48, 60, 60, 32, 24, (0.1, 0, 0, 0, 0))},  # no pinhole
     ],
 )

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,7 @@ def rotations(q):
 @pytest.fixture(scope="module", params=["approach", "tumble", "flyby"])
 def motion(request):
     times = np.arange(60) / 2
-    return sample_motion(request.param, SCENE, SCENE.build(), times, np.random.default_rng(1))
+    return sample_motion(request.param, SCENE, times, np.random.default_rng(1))
 
 
 def test_motions_stay_in_the_scenes_ranges_and_in_view(motion):
@@ -50,7 +51,7 @@ def test_a_small_spacecraft_may_be_as_near_as_in_images():
     """A fortieth of a Soyuz, whole in front of the camera but nearer than half a meter."""
     craft = SCENE.build().scaled(1 / 40)
     near = replace(SCENE, craft=craft, distance_m=(0.3, 0.45), lateral_m=0.05)
-    motion = sample_motion("tumble", near, craft, np.arange(3) / 2, np.random.default_rng(0))
+    motion = sample_motion("tumble", near, np.arange(3) / 2, np.random.default_rng(0))
     depths = rotations(motion.q[0]).apply(craft.outline)[:, 2] + motion.t[0, 2]
     assert 0.03 < depths.min() < 0.5
 
@@ -63,7 +64,7 @@ def test_velocities_are_the_derivatives_of_the_poses(motion):
 
 def test_a_tumble_keeps_angular_momentum_and_energy():
     craft = SCENE.build()
-    motion = sample_motion("tumble", SCENE, craft, np.arange(240) / 2, np.random.default_rng(2))
+    motion = sample_motion("tumble", SCENE, np.arange(240) / 2, np.random.default_rng(2))
     points = craft.outline - craft.outline.mean(axis=0)
     inertia = (points**2).sum() * np.eye(3) - points.T @ points
     momentum = rotations(motion.q).apply(motion.w @ inertia)
@@ -186,6 +187,16 @@ def test_frames_that_are_damaged_are_rendered_again(tmp_path):
     assert [path.read_bytes() for path in paths] == whole
 
 
+def test_a_sequence_larger_than_the_disk_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
+    room = shutil.disk_usage(tmp_path)._replace(free=100)
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.disk_usage", lambda path: room)
+        with pytest.raises(OSError, match="4 frames need at least"):
+            write_sequence(short(), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    assert write_sequence(short(6, frames=1), tmp_path / "new").rendered == 1
+
+
 def test_dropped_frames_leave_the_others_as_they_are(tmp_path):
     sequence = short(frames=30)
     written = write_sequence(sequence, tmp_path / "some", drop=0.8)
@@ -196,6 +207,11 @@ def test_dropped_frames_leave_the_others_as_they_are(tmp_path):
     last = round(float(rows[-1]["time"]) * 2)
     with Image.open(tmp_path / "some" / rows[-1]["image"]) as image:
         np.testing.assert_array_equal(np.asarray(image), render_frame(sequence, last))
+
+
+def test_a_trajectory_without_a_pose_is_refused():
+    with pytest.raises(ValueError, match="trajectory: expected at least one pose"):
+        Sequence.along(SCENE, Trajectory.through(np.array([]), []))
 
 
 def test_fast_motion_blurs_and_a_rolling_shutter_shears():

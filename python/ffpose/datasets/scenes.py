@@ -148,4 +148,4 @@ def _stranger(scene: Scene, seed: int, size: tuple[int, int], index: int) -> NDA
     from ffpose.render.spacecraft.decoys import build_decoy
 
     shown = scene.with_stranger(build_decoy(seed, index))
-    return shoot(shown, seed, index, camera_of(scene, size), scene.sensor).image
+    return shoot(shown, seed, index, camera_of(scene, size)).image

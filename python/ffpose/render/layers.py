@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write, write_csv
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene
 from ffpose.render.scene_file import find_scene
-from ffpose.render.shading.rays import View, Window, cast_rays, find_window
+from ffpose.render.shading.rays import View, cast_rays, find_window
 from ffpose.render.shading.vectors import Floats, dot
 from ffpose.render.spacecraft.craft import Craft
 
@@ -72,7 +73,7 @@ class Layers(NamedTuple):
 
 
 def render_layers(
-    scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> Layers:
     """Compute the ground truth of the image that `render` makes of the same arguments.
 
@@ -84,8 +85,11 @@ def render_layers(
     """
     scene = find_scene(scene)
     camera, pose, craft = camera_of(scene, size), label(scene, seed, index), scene.build()
+    depth = np.zeros((camera.height, camera.width), dtype=np.float32)
     seen = _traced(craft, pose, camera)
-    depth = _depth(seen, pose, camera)
+    if seen is not None:
+        pixels, view = seen
+        depth[pixels] = dot(pose.rotation[2], view.rays) * view.hits.distance
     coordinates = _coordinates(seen, craft, camera)
     return Layers(depth > 0, depth, _keypoints(craft, pose, camera), coordinates)
 
@@ -128,9 +132,8 @@ def depth_step(scene: Scene) -> float:
 
 def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the names once each, in the order of `LABELS`; a ValueError for another name."""
-    unknown = [name for name in labels if name not in LABELS]
-    if unknown:
-        raise ValueError(f"labels: expected some of {', '.join(LABELS)}, got {unknown[0]!r}")
+    for name in labels:
+        expect(name in LABELS, "labels", f"some of {', '.join(LABELS)}", name)
     return tuple(name for name in LABELS if name in labels)
 
 
@@ -151,49 +154,41 @@ def write_layers(
     """
     from PIL import Image
 
+    pictures: dict[str, NDArray[Any]] = {
+        "mask": layers.mask.astype(np.uint8) * 255,
+        "depth": np.round(layers.depth / depth_step_m).astype(np.uint16),
+        "coordinates": layers.coordinates,
+    }
     for name, file in zip(labels, label_files(index, labels), strict=True):
         if name == "keypoints":
             rows = [(p.name, p.u, p.v, p.depth, int(p.visible)) for p in layers.keypoints]
             write_csv(folder / file, [Keypoint._fields, *rows], durable=False)
-            continue
-        if name == "depth":
-            pixels: NDArray[Any] = np.round(layers.depth / depth_step_m).astype(np.uint16)
         else:
-            pixels = layers.mask.astype(np.uint8) * 255 if name == "mask" else layers.coordinates
-        with atomic_write(folder / file, durable=False) as path:
-            Image.fromarray(pixels).save(path)
+            with atomic_write(folder / file, durable=False) as path:
+                Image.fromarray(pictures[name]).save(path)
 
 
-def _traced(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
+Traced = tuple[tuple[NDArray[np.intp], NDArray[np.intp]], View]
+"""Rows and columns of the pixels whose centers see the spacecraft, and what they see."""
+
+
+def _traced(craft: Craft, pose: Pose, camera: Camera) -> Traced | None:
     """Trace a ray through each pixel's center; None if the spacecraft is out of frame."""
     window = find_window(craft.corners, pose, camera)
     if window is None:
         return None
-    return window, cast_rays(prepared(craft)[0], window, camera, pose, 1)
+    view = cast_rays(prepared(craft)[0], window, camera, pose, 1)
+    row, column = np.divmod(view.hits.ray, window.shape[1])
+    return (window.top + row, window.left + column), view
 
 
-def _depth(seen: tuple[Window, View] | None, pose: Pose, camera: Camera) -> Floats:
-    depth = np.zeros((camera.height, camera.width), dtype=np.float32)
-    if seen is not None:
-        window, view = seen
-        inside = np.zeros(window.shape, dtype=np.float32)
-        inside.reshape(-1)[view.hits.ray] = dot(pose.rotation[2], view.rays) * view.hits.distance
-        depth[window.top : window.bottom, window.left : window.right] = inside
-    return depth
-
-
-def _coordinates(
-    seen: tuple[Window, View] | None, craft: Craft, camera: Camera
-) -> NDArray[np.uint8]:
+def _coordinates(seen: Traced | None, craft: Craft, camera: Camera) -> NDArray[np.uint8]:
     coordinates = np.zeros((camera.height, camera.width, 4), dtype=np.uint8)
     if seen is not None:
-        window, view = seen
+        pixels, view = seen
         scaled = view.place.T / np.float32(2 * coordinates_limit(craft)) + np.float32(0.5)
-        inside = np.zeros((*window.shape, 4), dtype=np.uint8)
-        flat = inside.reshape(-1, 4)
-        flat[view.hits.ray, :3] = np.round(scaled * 255)
-        flat[view.hits.ray, 3] = 255
-        coordinates[window.top : window.bottom, window.left : window.right] = inside
+        coordinates[..., :3][pixels] = np.round(scaled * 255)
+        coordinates[..., 3][pixels] = 255
     return coordinates
 
 

@@ -11,10 +11,10 @@ from itertools import count
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose.arrays import quaternion_to_euler
 from ffpose.errors import expect
+from ffpose.geometry import FloatArray
 from ffpose.geometry.rotations import from_rotation_vector, multiply, rotation_matrix
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render.sampler import (
@@ -28,8 +28,6 @@ from ffpose.render.sampler import (
 )
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.craft import Craft
-
-Floats = NDArray[np.float64]
 
 Kind = Literal["approach", "tumble", "flyby"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -56,7 +54,7 @@ class Orbit(NamedTuple):
     """
 
     start: Surroundings
-    normal: Floats
+    normal: FloatArray
 
     @property
     def rate(self) -> float:
@@ -64,7 +62,7 @@ class Orbit(NamedTuple):
         radius = EARTH_RADIUS_M * (1 + self.start.altitude)
         return math.sqrt(GRAVITY_M3_S2 / radius**3)
 
-    def turn(self, time: float) -> Floats:
+    def turn(self, time: float) -> FloatArray:
         """Return the rotation (3, 3) of the stars in the camera frame since time zero."""
         return rotation_matrix(from_rotation_vector(-self.rate * time * self.normal))
 
@@ -72,13 +70,8 @@ class Orbit(NamedTuple):
         """Return the directions at a time, seconds."""
         start, turn = self.start, self.turn(time)
         sun = turn @ start.sun
-        return Surroundings(
-            sun,
-            start.nadir,
-            start.altitude,
-            start.ground @ turn.T,
-            meets_earth(sun, start.nadir, start.altitude),
-        )
+        eclipsed = meets_earth(sun, start.nadir, start.altitude)
+        return start._replace(sun=sun, ground=start.ground @ turn.T, eclipsed=eclipsed)
 
     def shadows(self, seconds: float) -> set[bool]:
         """Return the values of `Surroundings.eclipsed` from time zero to a time, seconds.
@@ -116,7 +109,7 @@ def sample_orbit(scene: Scene, seconds: float, rng: np.random.Generator) -> Orbi
 
 
 def sample_motion(
-    kind: Kind, scene: Scene, craft: Craft, times: Floats, rng: np.random.Generator
+    kind: Kind, scene: Scene, times: FloatArray, rng: np.random.Generator
 ) -> Trajectory:
     """Sample a motion that stays within the scene's ranges of distance, attitude and view.
 
@@ -124,7 +117,7 @@ def sample_motion(
     rigid body does, a flyby crosses the line of sight. A ValueError where no such motion was found.
     """
     expect(kind in KINDS, "motion", f"one of {', '.join(KINDS)}", kind)
-    middle = (times[0] + times[-1]) / 2
+    craft, middle = scene.build(), (times[0] + times[-1]) / 2
     for _ in range(TRIES):
         distance = rng.uniform(*scene.distance_m)
         ray = direction(scene, rng)
@@ -147,14 +140,14 @@ def sample_motion(
     )
 
 
-def _in_place(t: Floats, scene: Scene) -> bool:
+def _in_place(t: FloatArray, scene: Scene) -> bool:
     distance = np.linalg.norm(t, axis=1)
     least, most = scene.distance_m
     across = np.hypot(t[:, 0], t[:, 1]).max()
     return bool(distance.min() >= least and distance.max() <= most and across <= scene.lateral_m)
 
 
-def _in_view(t: Floats, q: Floats, scene: Scene, craft: Craft) -> bool:
+def _in_view(t: FloatArray, q: FloatArray, scene: Scene, craft: Craft) -> bool:
     angles = np.abs(quaternion_to_euler(q))
     if (angles > np.array(scene.attitude_range_deg) + 1e-9).any():
         return False
@@ -164,17 +157,19 @@ def _in_view(t: Floats, q: Floats, scene: Scene, craft: Craft) -> bool:
     )
 
 
-def inertia(craft: Craft) -> Floats:
+def inertia(craft: Craft) -> FloatArray:
     """Return the inertia (3, 3) of the outline's points, of any unit, by which a tumble turns."""
     points = craft.outline - craft.outline.mean(axis=0)
     return np.asarray((points**2).sum() * np.eye(3) - points.T @ points) / len(points)
 
 
-def _tumble(q: Floats, w: Floats, moments: Floats, times: Floats) -> tuple[Floats, Floats]:
+def _tumble(
+    q: FloatArray, w: FloatArray, moments: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Integrate Euler's equations of a free rigid body by Runge and Kutta's fourth order."""
     inverse = np.linalg.inv(moments)
 
-    def change(state: Floats) -> Floats:
+    def change(state: FloatArray) -> FloatArray:
         q, w = state[:4], state[4:]
         return np.concatenate(
             [0.5 * multiply(q, np.array([0.0, *w])), inverse @ np.cross(moments @ w, w)]

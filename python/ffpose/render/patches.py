@@ -34,13 +34,8 @@ def render_patches(
 ) -> Patches:
     """Render the patches of one image that a network with a second look reads.
 
-    Args:
-        scene: A set.
-        seed: Seed of the whole set.
-        index: Number of the image in the set.
-        spec: Geometry of the two patches.
-        content: "object": the set's spacecraft; "empty": no spacecraft, the window where it would
-            be; "decoy": another spacecraft in its place (`ffpose.render.spacecraft.decoys`).
+    They show as ``content`` "object", the set's spacecraft; "empty", none, the window where it
+    would be; or "decoy", another in its place (`ffpose.render.spacecraft.decoys`).
     """
     expect(content in get_args(Content), "content", f"one of {get_args(Content)}", content)
     if content == "decoy":
@@ -50,7 +45,7 @@ def render_patches(
     level = spec.level(pose.t)
     halved = int(level > 0 and spec.first_stride % 2 == 0)
     camera = spec.level_camera(halved)
-    shot = shoot(scene, seed, index, camera, scene.sensor, empty=empty, side=2**halved)
+    shot = shoot(scene, seed, index, camera, empty=empty, side=2**halved)
 
     def coordinates(half: Camera) -> Bytes:
         window = spec.window_camera(pose.t, level)
@@ -79,7 +74,5 @@ def render_all_patches(
 ) -> Iterator[Patches]:
     """Render the patches of images in order with several processes."""
     make = partial(render_patches, scene, seed, spec=spec, content=content)
-    if sys.platform != "linux":
-        return in_processes(make, indices, workers)
     prepared(scene.build())  # forked workers share the BVH
-    return in_processes(make, indices, workers, "fork")
+    return in_processes(make, indices, workers, "fork" if sys.platform == "linux" else "spawn")

@@ -28,16 +28,11 @@ AHEAD = 4
 def in_processes(
     task: Callable[[Item], Result], items: Sequence[Item], workers: int, method: str = "spawn"
 ) -> Iterator[Result]:
-    """Yield what a task makes of each item, in order.
+    """Yield what a task makes of each item, in order; few items are done in the calling process.
 
     Workers run on one thread each, end with their parent, and leave Ctrl-C to it: then every one
-    finishes its item.
-
-    Args:
-        task: Sent to each worker once, because a spacecraft may be a large mesh.
-        items: What it is called with.
-        workers: Number of processes; few items are rendered in the calling process.
-        method: How processes start; with ``"fork"`` they share what the parent has prepared.
+    finishes its item. The task is sent to each once, because a spacecraft may be a large mesh; with
+    the ``method`` of starting "fork" they share what the parent has prepared.
     """
     if workers <= 1 or len(items) < 2 * workers:
         yield from map(task, items)

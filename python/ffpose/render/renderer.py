@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,12 @@ from ffpose.arrays import shade_earth
 from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render import mitsuba
-from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
+from ffpose.render.sampler import (
+    Surroundings,
+    horizon_cosine,
+    sample_pose,
+    sample_surroundings,
+)
 from ffpose.render.scene import Scene
 from ffpose.render.scene_file import find_scene
 from ffpose.render.shading.alpha_test import AlphaTest
@@ -42,6 +48,9 @@ BLOCK = 8192
 BAND = 1 << 16
 """Spacecraft samples per block: small enough that the temporaries stay in the CPU's cache."""
 
+NO_LIGHT: Floats = np.zeros((3, 0), dtype=np.float32)
+"""Radiance of no samples."""
+
 SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
 """Samples along each side of a pixel, by the fraction of the frame that the spacecraft fills."""
 
@@ -60,7 +69,9 @@ class Frame(NamedTuple):
     camera: Camera
 
 
-def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None) -> Frame:
+def render(
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
+) -> Frame:
     """Render one image; the same arguments give the same bytes.
 
     Args:
@@ -79,11 +90,11 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
         DataError: The file of the scene, or its mesh, cannot be used.
     """
     scene = find_scene(scene)
-    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor)
+    return shoot(scene, seed, index, camera_of(scene, size))
 
 
 def render_empty(
-    scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
+    scene: Scene | str | Path, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
     """Render the image that `render` makes of the same arguments, without the spacecraft.
 
@@ -98,18 +109,11 @@ def render_empty(
         ValueError: An argument is invalid, as for `render`.
     """
     scene = find_scene(scene)
-    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor, empty=True).image
+    return shoot(scene, seed, index, camera_of(scene, size), empty=True).image
 
 
 def shoot(
-    scene: Scene,
-    seed: int,
-    index: int,
-    camera: Camera,
-    sensor: Sensor,
-    *,
-    empty: bool = False,
-    side: int = 1,
+    scene: Scene, seed: int, index: int, camera: Camera, *, empty: bool = False, side: int = 1
 ) -> Frame:
     """Render scene `index` with any camera at the position of the scene's own.
 
@@ -117,7 +121,7 @@ def shoot(
     along each side of one of this, 1 or 2: sun, stars, glare, noise and exposure are then those of
     that image, averaged. With `empty` the spacecraft is left out.
     """
-    return shoot_each(scene, seed, index, camera, (sensor,), empty=empty, side=side)[0]
+    return shoot_each(scene, seed, index, camera, (scene.sensor,), empty=empty, side=side)[0]
 
 
 def shoot_each(
@@ -130,23 +134,21 @@ def shoot_each(
     empty: bool = False,
     side: int = 1,
 ) -> list[Frame]:
-    """Render with each of several sensors; each image equals that of `shoot` with that sensor.
+    """Render with each of several sensors; each image equals that of a scene with that sensor.
 
     The radiance, which takes nearly all of the time, is computed once.
     """
     pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
-    craft = scene.build()
-    pose = sample_pose(scene, craft, pose_rng)
+    pose = sample_pose(scene, pose_rng)
     around = sample_surroundings(scene, light_rng)
     radiance = background(scene, camera, around, star_rng, odd_rng, side)
-    lit = np.zeros((3, 0), dtype=np.float32)
+    lit = NO_LIGHT
     if not empty:
-        materials = materials_of(scene, odd_rng)
-        light = object_light(pose, around, scene, odd_rng)
+        subject = subject_of(scene, pose, around, odd_rng, surface_rng)
         if scene.renderer == "mitsuba":
-            lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
+            craft, _, light, rng = subject
+            lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, rng)
         else:
-            subject = Subject(craft, materials, light, surface_rng)
             lit = draw_craft(radiance, camera, pose, subject)
     frames = []
     for sensor in sensors:
@@ -157,10 +159,10 @@ def shoot_each(
     return frames
 
 
-def label(scene: Scene | str, seed: int, index: int) -> Pose:
+def label(scene: Scene | str | Path, seed: int, index: int) -> Pose:
     """Return the pose of image `index` without rendering it; arguments and errors as `render`."""
     scene = find_scene(scene)
-    return sample_pose(scene, scene.build(), _streams(seed, index)[0])
+    return sample_pose(scene, _streams(seed, index)[0])
 
 
 class Situation(NamedTuple):
@@ -177,11 +179,11 @@ class Situation(NamedTuple):
     backdrop: bool
 
 
-def situation(scene: Scene | str, seed: int, index: int) -> Situation:
+def situation(scene: Scene | str | Path, seed: int, index: int) -> Situation:
     """Return the arrangement of image `index` without rendering it."""
     scene = find_scene(scene)
     pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)
-    pose = sample_pose(scene, scene.build(), pose_rng)
+    pose = sample_pose(scene, pose_rng)
     around = sample_surroundings(scene, light_rng)
     return Situation(pose, around, bool(odd_rng.random() < scene.randomization.background))
 
@@ -202,16 +204,9 @@ def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     return Tracer(craft.mesh, AlphaTest(craft, materials.maps)), materials
 
 
-def materials_of(scene: Scene, rng: Generator) -> MaterialTable:
-    """Return the material tables of a scene's spacecraft, varied as its randomization says."""
-    materials, spread = prepared(scene.build())[1], scene.randomization.materials
-    return materials.varied(spread, rng) if spread > 0 else materials
-
-
 def _streams(seed: int, index: int) -> list[Generator]:
     """Seed independent generators for pose, light, stars, sensor, surface and randomization."""
-    if seed < 0 or index < 0:
-        raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
+    expect(min(seed, index) >= 0, "seed and index", "at least 0", (seed, index))
     return default_rng([seed, index]).spawn(6)
 
 
@@ -261,12 +256,21 @@ class Subject(NamedTuple):
     rng: Generator
 
 
+def subject_of(
+    scene: Scene, pose: Pose, around: Surroundings, odd_rng: Generator, surface_rng: Generator
+) -> Subject:
+    """Return a scene's spacecraft, its materials and lights varied as the randomization says."""
+    craft, spread = scene.build(), scene.randomization.materials
+    materials = prepared(craft)[1]
+    if spread > 0:
+        materials = materials.varied(spread, odd_rng)
+    return Subject(craft, materials, object_light(pose, around, scene, odd_rng), surface_rng)
+
+
 def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -> Floats:
     """Composite the spacecraft over `radiance` and return the radiance (3, H) of its samples."""
     window = find_window(subject.craft.corners, pose, camera)
-    if window is None:
-        return np.zeros((3, 0), dtype=np.float32)
-    return draw_window(radiance, window, camera, pose, subject)
+    return draw_window(radiance, window, camera, pose, subject) if window else NO_LIGHT
 
 
 def draw_alone(craft: Craft, pose: Pose, camera: Camera, light: Light, gray: float = 0.0) -> Floats:
@@ -315,14 +319,13 @@ def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: Generator)
     """Return the lights in the object frame, varied as the set's randomization says."""
     spread = scene.randomization.light
     back = pose.rotation.T
-    horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
     # The lit part of the Earth's disk grows with the sun's height over the ground below.
     above = float(-around.sun @ around.nadir)
     return Light(
         sun=(back @ around.sun).astype(np.float32),
         nadir=(back @ around.nadir).astype(np.float32),
         earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0) * stops(spread, (), rng)),
-        horizon=horizon,
+        horizon=horizon_cosine(around.altitude),
         sunlight=0.0 if around.eclipsed else 1.0,
         lamp=scene.lamp if around.eclipsed else 0.0,
         tint=stops(spread, (3, 1), rng),
@@ -339,9 +342,8 @@ def _composite(
     layer[ray, 3] = 1
     grid = layer.reshape(rows, samples, columns, samples, 4)
     pixels = np.zeros((rows, columns, 4), dtype=np.float32)
-    for i in range(samples):
-        for j in range(samples):
-            pixels += grid[:, i, :, j]
+    for i, j in np.ndindex(samples, samples):
+        pixels += grid[:, i, :, j]
     pixels *= np.float32(1 / samples**2)
     part = radiance[window.top : window.bottom, window.left : window.right]
     part *= 1 - pixels[..., 3:]

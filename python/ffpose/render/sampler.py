@@ -6,13 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.render.scene import Scene
-from ffpose.render.spacecraft.craft import Craft
-
-Floats = NDArray[np.float64]
 
 EARTH_RADIUS_M = 6_371_000.0
 ALTITUDE_M = (380_000.0, 440_000.0)
@@ -37,14 +33,14 @@ class Surroundings(NamedTuple):
         eclipsed: whether the Earth hides the sun; a lamp at the camera then gives light.
     """
 
-    sun: Floats
-    nadir: Floats
+    sun: FloatArray
+    nadir: FloatArray
     altitude: float
-    ground: Floats
+    ground: FloatArray
     eclipsed: bool
 
 
-def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
+def sample_pose(scene: Scene, rng: np.random.Generator) -> Pose:
     """A pose within the set's ranges that leaves as much of the spacecraft in frame as they say.
 
     The distance is uniform, the attitude uniform over rotations within `attitude_range_deg`, and
@@ -54,12 +50,14 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
     Raises:
         ValueError: no pose was found; the set's ranges contradict each other.
     """
+    outline = scene.build().outline
     for _ in range(200):
         distance = rng.uniform(*scene.distance_m)
         q = _attitude(scene.attitude_range_deg, rng)
         for _ in range(DIRECTION_TRIES):
             pose = Pose(distance * direction(scene, rng), q)
-            if _acceptable(pose, scene, craft):
+            near_axis = np.hypot(pose.t[0], pose.t[1]) <= scene.lateral_m
+            if near_axis and is_in_frame(pose.transform(outline), scene):
                 return pose
     raise ValueError(
         f"{scene.name}: found no pose with {scene.min_visible:.0%} to {scene.max_visible:.0%} "
@@ -85,25 +83,28 @@ def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
             return Surroundings(sun, nadir, altitude, ground, eclipsed)
 
 
-def is_low(sun: Floats, nadir: Floats) -> bool:
+def is_low(sun: FloatArray, nadir: FloatArray) -> bool:
     """Whether the sun, seen from the ground below, is at most `DUSK_DEG` above the horizon."""
     return bool(sun @ nadir >= -math.sin(math.radians(DUSK_DEG)))
 
 
-def meets_earth(ray: Floats, nadir: Floats, altitude: float) -> bool:
+def meets_earth(ray: FloatArray, nadir: FloatArray, altitude: float) -> bool:
     """Whether a ray from a place `altitude` Earth radii above the ground meets the Earth."""
-    down = float(ray @ nadir)
-    horizon = np.sqrt(1.0 - 1.0 / (1.0 + altitude) ** 2)  # cosine of the horizon's angle from nadir
-    return bool(down > horizon)
+    return bool(ray @ nadir > horizon_cosine(altitude))
 
 
-def unit_vector(rng: np.random.Generator) -> Floats:
+def horizon_cosine(altitude: float) -> float:
+    """Return the cosine of the angle between nadir and horizon, `altitude` Earth radii up."""
+    return math.sqrt(1 - 1 / (1 + altitude) ** 2)
+
+
+def unit_vector(rng: np.random.Generator) -> FloatArray:
     """Sample a direction (3,)."""
     vector = rng.standard_normal(3)
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _attitude(limits_deg: tuple[float, float, float], rng: np.random.Generator) -> Floats:
+def _attitude(limits_deg: tuple[float, float, float], rng: np.random.Generator) -> FloatArray:
     roll_limit, pitch_limit, yaw_limit = np.radians(limits_deg)
     roll = rng.uniform(-roll_limit, roll_limit)
     # Uniform over rotations means uniform in the sine of the pitch.
@@ -120,7 +121,7 @@ def _attitude(limits_deg: tuple[float, float, float], rng: np.random.Generator) 
     )
 
 
-def direction(scene: Scene, rng: np.random.Generator) -> Floats:
+def direction(scene: Scene, rng: np.random.Generator) -> FloatArray:
     """Sample the unit vector (3,) through a place in the frame."""
     camera = scene.camera
     u, v = rng.uniform(0.0, camera.width), rng.uniform(0.0, camera.height)
@@ -128,14 +129,14 @@ def direction(scene: Scene, rng: np.random.Generator) -> Floats:
     return np.asarray(ray / np.linalg.norm(ray))
 
 
-def visible_share(points: Floats, camera: Camera) -> float:
+def visible_share(points: FloatArray, camera: Camera) -> float:
     """Share of points (N, 3) of the camera frame that lie in the frame."""
     u, v = camera.project(points).T
     inside = (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
     return float(inside.mean())
 
 
-def is_in_frame(points: Floats, scene: Scene) -> bool:
+def is_in_frame(points: FloatArray, scene: Scene) -> bool:
     """Return whether as many of an outline's points (N, 3) as the set wants lie in the frame.
 
     All of them have to keep their distance from the camera (`LEAST_DEPTH_M`).
@@ -143,8 +144,3 @@ def is_in_frame(points: Floats, scene: Scene) -> bool:
     if points[:, 2].min() < min(LEAST_DEPTH_M, 0.1 * scene.distance_m[0]):
         return False
     return scene.min_visible <= visible_share(points, scene.camera) <= scene.max_visible
-
-
-def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
-    across = np.hypot(pose.t[0], pose.t[1])
-    return across <= scene.lateral_m and is_in_frame(pose.transform(craft.outline), scene)

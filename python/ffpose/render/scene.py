@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
@@ -83,22 +84,20 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_choices(self)
-        if isinstance(self.camera, DistortedCamera):
-            raise ValueError(
-                "camera: expected one without distortion, got a distorted one; images are rendered"
-                " through a pinhole"
-            )
-        if self.renderer == "mitsuba" and self.randomization.materials > 0:
-            raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
+        pinhole = not isinstance(self.camera, DistortedCamera)
+        expect(pinhole, "camera", "one without distortion, as images are a pinhole's", self.camera)
+        able = self.renderer == "ffpose" or self.randomization.materials == 0
+        expect(able, "renderer", "ffpose for randomized materials", self.renderer)
         least, most = self.distance_m
-        expect(0 < least <= most, "distance_m", "0 < least <= most", self.distance_m)
+        expect(0 < least <= most < math.inf, "distance_m", "0 < least <= most < ∞", self.distance_m)
         expect(self.lateral_m >= 0, "lateral_m", "at least 0", self.lateral_m)
-        angles, limits = self.attitude_range_deg, ALL_ATTITUDES
+        angles = self.attitude_range_deg
         within = len(angles) == 3 and all(
-            0 <= angle <= limit for angle, limit in zip(angles, limits, strict=True)
+            0 <= angle <= most for angle, most in zip(angles, ALL_ATTITUDES, strict=True)
         )
         expected = "(roll, pitch, yaw) within 0…180, 0…90, 0…180"
         expect(within, "attitude_range_deg", expected, angles)
+        expect(0 <= self.lamp < math.inf, "lamp", "a finite number of at least 0", self.lamp)
         for name in ("min_visible", "max_visible", "eclipse_rate"):
             expect(0 <= getattr(self, name) <= 1, name, "0…1", getattr(self, name))
         expected = f"min_visible {self.min_visible} or more"

@@ -15,13 +15,25 @@ from pathlib import Path
 from typing import Any
 
 from ffpose._internal.files import read_json, shortened, write_json
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.geometry import Camera
 from ffpose.render.scene import SCENES, Scene, lamp_for
-from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.meshfile import Up, load_craft
 
 SUFFIX = ".json"
+
+TYPES: dict[str, tuple[type, ...]] = {
+    "name": (str,),
+    "mesh": (str,),
+    "mesh_scale": (int, float),
+    "distance_m": (list,),
+    "attitude_range_deg": (list,),
+    "camera": (dict,),
+    "mesh_up": (str,),
+    "mesh_center": (bool,),
+    "mesh_two_sided": (bool,),
+}
+"""Types of the values in the file, by key."""
 
 
 @dataclass(frozen=True)
@@ -50,21 +62,6 @@ class SceneFile:
     mesh_center: bool = False
     mesh_two_sided: bool = False
 
-    def craft(self) -> Craft:
-        """Read the mesh.
-
-        Raises:
-            ffpose.DataError: The file is no mesh that can be read.
-            ValueError: An option of the mesh is out of its range.
-        """
-        return load_craft(
-            self.mesh,
-            self.mesh_scale,
-            self.mesh_up,
-            center=self.mesh_center,
-            two_sided=self.mesh_two_sided,
-        )
-
     def scene(self) -> Scene:
         """Return the set, with the mesh read.
 
@@ -72,7 +69,13 @@ class SceneFile:
             ffpose.DataError: The file is no mesh that can be read.
             ValueError: An option of the mesh, or a range of the set, is out of its limits.
         """
-        craft = self.craft()
+        craft = load_craft(
+            self.mesh,
+            self.mesh_scale,
+            self.mesh_up,
+            center=self.mesh_center,
+            two_sided=self.mesh_two_sided,
+        )
         return Scene(
             self.name,
             craft,
@@ -88,11 +91,11 @@ class SceneFile:
         mesh = self.mesh.resolve()
         with suppress(ValueError):  # Windows: on another drive
             mesh = Path(os.path.relpath(mesh, path.resolve().parent))
-        write_json(path, asdict(self) | {"mesh": str(mesh)}, 1)
+        write_json(path, asdict(self) | {"mesh": mesh.as_posix()}, 1)
 
 
 def find_scene(
-    scene: str | Scene, attitude_range_deg: tuple[float, float, float] | None = None
+    scene: Scene | str | Path, attitude_range_deg: tuple[float, float, float] | None = None
 ) -> Scene:
     """Return a set by its name, or by its file, whose name ends with ``.json``.
 
@@ -107,24 +110,26 @@ def find_scene(
     """
     if isinstance(scene, Scene):
         found = scene
-    elif scene.endswith(SUFFIX):
-        found = _opened(read_scene_file(Path(scene)))
-    elif scene in SCENES:
-        found = SCENES[scene]
+    elif Path(scene).suffix == SUFFIX:
+        found = _opened(Path(scene))
     else:
-        raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {scene!r}")
+        expect(scene in SCENES, "scene", f"one of {', '.join(SCENES)}", scene)
+        found = SCENES[str(scene)]
     if attitude_range_deg is None:
         return found
     return replace(found, attitude_range_deg=attitude_range_deg)
 
 
-def _opened(file: SceneFile) -> Scene:
+def _opened(path: Path) -> Scene:
     """Return the set of a file, opened once: until its mesh changes, not what that refers to."""
+    file = read_scene_file(path)
+    status = file.mesh.stat() if file.mesh.exists() else None
     try:
-        status = file.mesh.stat()
-    except OSError:
-        return file.scene()  # which says what is wrong
-    return _opened_once(file, status.st_mtime_ns, status.st_size)
+        return _opened_once(file, *((status.st_mtime_ns, status.st_size) if status else ()))
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(str(error), path) from error
 
 
 @lru_cache(maxsize=4)
@@ -140,28 +145,27 @@ def read_scene_file(path: Path) -> SceneFile:
         DataError: It is not JSON, or has other keys or values.
     """
     values = read_json(path)
-    names = [field.name for field in fields(SceneFile)]
     needed = {field.name for field in fields(SceneFile) if field.default is MISSING}
-    if not isinstance(values, dict) or not needed <= set(values) <= set(names):
-        raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
+    if not isinstance(values, dict) or not needed <= set(values) <= set(TYPES):
+        raise DataError(f"expected the keys {', '.join(TYPES)}, got {shortened(values)}", path)
     try:
-        return SceneFile(
-            str(values["name"]),
-            path.parent / str(values["mesh"]),
-            float(values["mesh_scale"]),
-            _numbers(values, "distance_m", 2),
-            _numbers(values, "attitude_range_deg", 3),
-            Camera(**values["camera"]),
-            values.get("mesh_up", "z"),
-            bool(values.get("mesh_center", False)),
-            bool(values.get("mesh_two_sided", False)),
-        )
-    except (TypeError, ValueError) as error:
+        for name, value in values.items():
+            kinds = TYPES[name]
+            expect(type(value) in kinds, name, f"a value of type {kinds[-1].__name__}", value)
+        read = {
+            "mesh": path.parent / values["mesh"],
+            "mesh_scale": float(values["mesh_scale"]),
+            "distance_m": _numbers(values, "distance_m", 2),
+            "attitude_range_deg": _numbers(values, "attitude_range_deg", 3),
+            "camera": Camera(**values["camera"]),
+        }
+    except (OverflowError, TypeError, ValueError) as error:
         raise DataError(str(error), path) from error
+    return SceneFile(**values | read)
 
 
-def _numbers(values: dict[str, Any], name: str, count: int) -> Any:
+def _numbers(values: dict[str, Any], name: str, count: int) -> tuple[float, ...]:
     numbers = values[name]
-    if not isinstance(numbers, list) or len(numbers) != count:
+    if len(numbers) != count or any(type(number) not in (int, float) for number in numbers):
         raise ValueError(f"{name}: expected {count} numbers, got {shortened(numbers)}")
-    return tuple(float(number) for number in numbers)
+    return tuple(map(float, numbers))

@@ -17,14 +17,7 @@ from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render.motion import Kind, Orbit, sample_motion, sample_orbit
-from ffpose.render.renderer import (
-    Subject,
-    background,
-    camera_of,
-    draw_window,
-    materials_of,
-    object_light,
-)
+from ffpose.render.renderer import NO_LIGHT, background, camera_of, draw_window, subject_of
 from ffpose.render.scene import Scene
 from ffpose.render.shading.rays import Window, find_window
 from ffpose.render.shading.sensor import choose_gain, expose
@@ -72,6 +65,7 @@ class Sequence:
         """Return the sequence of a given motion; a ValueError if another renderer is asked for."""
         expect(scene.renderer == "ffpose", "renderer", "ffpose for sequences", scene.renderer)
         expect(seed >= 0, "seed", "at least 0", seed)
+        expect(len(trajectory.times) > 0, "trajectory", "at least one pose", 0)
         seconds = float(trajectory.times[-1] - trajectory.times[0])
         orbit = sample_orbit(scene, seconds, np.random.default_rng([seed, SEQUENCE, 1]))
         return cls(scene, seed, trajectory, orbit, camera_of(scene, size))
@@ -98,7 +92,7 @@ class Sequence:
         expect(seed >= 0, "seed", "at least 0", seed)
         times = np.arange(max(1, round(seconds * rate))) / rate
         rng = np.random.default_rng([seed, SEQUENCE, 0])
-        motion = sample_motion(kind, scene, scene.build(), times, rng)
+        motion = sample_motion(kind, scene, times, rng)
         return cls.along(scene, motion, seed, size)
 
     def __len__(self) -> int:
@@ -130,10 +124,8 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
     time = float(sequence.trajectory.times[index] - sequence.trajectory.times[0])
     around = sequence.orbit.at(time)
     radiance = background(scene, camera, around, star_rng, odd_rng, 1, sequence.orbit.turn(time))
-    materials = materials_of(scene, odd_rng)
-    light = object_light(sequence.pose(index), around, scene, odd_rng)
-    subject = Subject(scene.build(), materials, light, surface_rng)
-    lit = [np.zeros((3, 0), dtype=np.float32)]
+    subject = subject_of(scene, sequence.pose(index), around, odd_rng, surface_rng)
+    lit = [NO_LIGHT]
     total = np.zeros_like(radiance)
     instants = _instants(sequence, index, sequence.exposure_s)
     for instant in instants:

@@ -16,18 +16,16 @@ from itertools import groupby, product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffpose import __version__
 from ffpose._internal.files import atomic_write
 from ffpose.imaging.images import read_rgb
+from ffpose.imaging.patches import Bytes
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import Frame, camera_of, label, shoot_each
 from ffpose.render.scene import Scene
 from ffpose.render.shading.sensor import Sensor
-
-Bytes = NDArray[np.uint8]
 
 CUT = (0.3, 0.6)
 """Least and greatest share of the spacecraft that the border leaves."""
@@ -79,11 +77,8 @@ def variations(
     lateral = scene.lateral_m * beyond / scene.distance_m[1]
     far = replace(scene, distance_m=(farthest_m, beyond), lateral_m=lateral)
     jpeg = replace(scene.sensor, jpeg_quality=JPEG_QUALITY)
-    mitsuba = Variation(
-        "second renderer",
-        "the spacecraft rendered by Mitsuba 3",
-        replace(scene, renderer="mitsuba"),
-    )
+    mitsuba = replace(scene, renderer="mitsuba")
+    second = Variation("second renderer", "the spacecraft rendered by Mitsuba 3", mitsuba)
     return [
         Variation("as trained", "the set's own scenes", scene),
         Variation(
@@ -91,12 +86,7 @@ def variations(
             "shot noise and read noise of twice the standard deviation",
             replace(scene, sensor=noisier(scene.sensor)),
         ),
-        Variation(
-            "blur",
-            f"Gaussian, {BLUR_PX} pixels of an image 640 wide",
-            scene,
-            blur_px=BLUR_PX,
-        ),
+        Variation("blur", f"Gaussian, {BLUR_PX} pixels of an image 640 wide", scene, BLUR_PX),
         Variation("monochrome", "the colors' luma alone", scene, monochrome=True),
         Variation(f"JPEG {JPEG_QUALITY}", "through a JPEG file", replace(scene, sensor=jpeg)),
         Variation(
@@ -110,7 +100,7 @@ def variations(
             scene.truncated(least, most),
         ),
         Variation("beyond range", f"{farthest_m:g} to {beyond:.3g} m", far),
-        *([mitsuba] if second_renderer else []),
+        *([second] if second_renderer else []),
     ]
 
 
@@ -143,16 +133,9 @@ def render_variations(
     """Render `count` pictures of each variation, and yield variation and picture.
 
     The pictures of a variation come in order, between those of others; the variations of one
-    `Variation.light` that stand together are rendered together.
-
-    Args:
-        chosen: the variations.
-        seed: seed of the sets, at least 0.
-        count: pictures of each.
-        size: (width, height) in pixels.
-        workers: processes; 1 renders in this one.
-        keep: a folder that keeps the pictures, by the digest of what they depend on; what lies
-            there already is read, so that an interrupted run goes on where it was.
+    `Variation.light` that stand together are rendered together. A folder ``keep`` has the pictures
+    by the digest of what they depend on; those that lie there already are read, so that an
+    interrupted run goes on where it was.
     """
     groups = [tuple(group) for _, group in groupby(chosen, key=lambda variation: variation.light)]
     items = list(product(range(len(groups)), range(count)))
@@ -170,22 +153,19 @@ def _render_item(
 ) -> list[Frame]:
     """Render a picture of variations that share the light, or read those that were kept."""
     together, number = groups[item[0]], item[1]
-    camera = camera_of(together[0].scene, size)
-    kept = (
-        [] if keep is None else [keep / _folder(v, seed, size) / f"{number}.png" for v in together]
-    )
+    scene, empty = together[0].scene, together[0].empty
+    camera = camera_of(scene, size)
+    kept = [keep / _folder(v, seed, size) / f"{number}.png" for v in together] if keep else []
     if kept and all(path.exists() for path in kept):
         return [
             Frame(np.asarray(read_rgb(path)), label(v.scene, seed, number), camera)
             for v, path in zip(together, kept, strict=True)
         ]
     sensors = [variation.scene.sensor for variation in together]
-    scene, empty = together[0].scene, together[0].empty
+    shot = shoot_each(scene, seed, number, camera, sensors, empty=empty)
     frames = [
         frame._replace(image=finished(frame.image, variation))
-        for variation, frame in zip(
-            together, shoot_each(scene, seed, number, camera, sensors, empty=empty), strict=True
-        )
+        for variation, frame in zip(together, shot, strict=True)
     ]
     for path, frame in zip(kept, frames, strict=False):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -196,8 +176,7 @@ def _render_item(
 
 def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
     depends = [__version__, variation.scene.parameters(), variation.blur_px, variation.empty]
-    depends += [seed, size]
-    depends += ["monochrome"] * variation.monochrome
+    depends += [seed, size, *["monochrome"] * variation.monochrome]
     digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
     return f"{variation.name.replace(' ', '-')}-{digest[:16]}"
 

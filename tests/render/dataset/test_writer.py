@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose import DataError
 from ffpose.geometry import Pose
 from ffpose.render import (
     SCENES,
@@ -28,7 +29,9 @@ from ffpose.render import (
     write_dataset,
 )
 from ffpose.render.dataset import tables, writer
+from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.layers import LAYERS, depth_step
+from ffpose.render.sequence import Sequence
 
 SIZE = (64, 48)
 
@@ -269,6 +272,19 @@ def test_lost_layer_is_written_again(tmp_path):
     assert contents(tmp_path) == before
 
 
+def test_a_layer_that_was_cut_off_before_its_hash_was_known_is_written_again(tmp_path):
+    labels = [*LAYERS, "coordinates"]
+    write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
+    before = contents(tmp_path)
+    manifest = json.loads(before["manifest.json"])
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"files": {}}))
+    for name in ("0_mask.png", "1_keypoints.csv", "2_coordinates.png", "3_depth.png"):
+        (tmp_path / name).write_bytes(before[name][: len(before[name]) // 2])
+    done = write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
+    assert (done.rendered, done.kept) == (4, 1)
+    assert contents(tmp_path) == before
+
+
 def test_folder_of_another_set_is_left_alone(folder):
     before = contents(folder)
     with pytest.raises(ValueError, match="seed 7 there, 8 now"):
@@ -282,9 +298,22 @@ def test_foreign_images_are_left_alone(tmp_path):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
 
 
-def test_broken_manifest_is_named(tmp_path):
-    (tmp_path / "manifest.json").write_text("{")
-    with pytest.raises(ValueError, match=r"manifest\.json"):
+def test_the_camera_of_other_images_is_left_alone(tmp_path):
+    """As of a sequence of frames, or of a set of one's own."""
+    frames = Sequence.of_kind("tumble", SCENES["soyuz_easy"], 1, 2, 0, (32, 24))
+    write_sequence(frames, tmp_path)
+    before = contents(tmp_path)
+    with pytest.raises(ValueError, match=r"got camera\.json without a manifest"):
+        write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"parameters": [], "versions": {}, "files": {}}', '{"parameters": {}}']
+)
+def test_broken_manifest_is_named(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(DataError, match=r"manifest\.json"):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
 
 

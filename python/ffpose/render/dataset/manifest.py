@@ -10,11 +10,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from ffpose._internal.files import write_json
+from ffpose._internal.files import read_json, shortened, write_json
 from ffpose._internal.machine import package_versions
 from ffpose.errors import DataError
 from ffpose.render.layers import coordinates_limit, depth_step
@@ -64,13 +64,13 @@ class Manifest:
         """Read a manifest, or return None if there is no such file; a DataError if it is none."""
         if not path.exists():
             return None
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            return cls(content["parameters"], content["versions"], content["files"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise DataError(
-                f"expected a manifest of `ffpose render`, got {error!r}", path
-            ) from error
+        content = read_json(path)
+        names = [each.name for each in fields(cls)]
+        parts = [content.get(name) for name in names] if isinstance(content, dict) else [None]
+        if not all(isinstance(part, dict) for part in parts):
+            got = shortened(content)
+            raise DataError(f"expected a manifest of `ffpose render`, got {got}", path)
+        return cls(*parts)
 
     def write(self, target: Path) -> None:
         """Write the manifest into a file, whole or not at all."""

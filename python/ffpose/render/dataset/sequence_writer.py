@@ -72,11 +72,15 @@ def write_sequence(
     kept = np.flatnonzero(rng.random(len(sequence)) >= drop).tolist()
     wanted = sorted({0, *kept})
     about = {**sequence.parameters(), "drop": drop, "versions": versions_of(sequence.scene)}
-    _claim(folder, about)
+    about = json.loads(json.dumps(about))
+    begun = _begun(folder, about)
     size = sequence.camera.width, sequence.camera.height
     missing = [index for index in wanted if not readable(folder / frame_name(index), size)]
     least = LEAST_BYTES_PER_PIXEL * math.prod(size) * len(missing)
     expect_room(folder, int(least), f"{len(missing)} frames")
+    if not begun:  # last of the checks, as a folder with parameters accepts no other sequence
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / PARAMETERS, about, None)
     remove_leftovers(folder)
     deque(in_processes(partial(_write, sequence, folder), missing, workers), maxlen=0)
     sequence.camera.write(folder / CAMERA_FILE)
@@ -87,27 +91,26 @@ def write_sequence(
     return Written(folder, len(missing), len(wanted) - len(missing), seconds, closed=True)
 
 
-def _claim(folder: Path, parameters: dict[str, object]) -> None:
-    """Write the parameters of a new sequence, or check those of one that was begun."""
+def _begun(folder: Path, mine: dict[str, object]) -> bool:
+    """Return whether the sequence of these parameters was begun in a folder, else it is empty."""
     path = folder / PARAMETERS
-    mine = json.loads(json.dumps(parameters))
     if path.exists():
         theirs = read_json(path)
         if not isinstance(theirs, dict):
             raise DataError("expected the parameters of a sequence", path)
         if theirs != mine:
-            changed = sorted(key for key in mine if theirs.get(key) != mine[key])
+            keys = mine.keys() | theirs.keys()
+            changed = sorted(key for key in keys if theirs.get(key) != mine.get(key))
             raise ValueError(
                 f"{folder}: expected the same sequence as before, got another in {changed}"
             )
-        return
+        return True
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(
             f"{folder}: expected an empty folder or a sequence that was begun here, "
             f"got files without {PARAMETERS}"
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(path, mine, None)
+    return False
 
 
 def _write(sequence: Sequence, folder: Path, index: int) -> None:

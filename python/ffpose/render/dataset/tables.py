@@ -42,7 +42,7 @@ class Conditions(NamedTuple):
     visible_share: float
 
 
-def conditions_of(scene: Scene | str, seed: int, index: int) -> Conditions:
+def conditions_of(scene: Scene | str | Path, seed: int, index: int) -> Conditions:
     """Return the conditions of the image that `render` makes of these arguments, at any size."""
     scene = find_scene(scene)
     pose, around, backdrop = situation(scene, seed, index)
@@ -66,12 +66,14 @@ def split_of(index: int) -> str:
     return {1: "val", 2: "test"}.get(index % 10, "train")
 
 
-def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> list[str]:
-    """Write labels, splits and camera of a set, and return the names of the files.
+def write_tables(
+    folder: Path, camera: Camera, poses: Mapping[int, Pose], conditions: Mapping[int, Conditions]
+) -> list[str]:
+    """Write camera, labels, splits and conditions of a set, and return the names of the files.
 
-    ``poses`` has the label of each image by its index, in order and without gaps. A split without
-    images has no files. Row N of ``gt.csv`` is that of image N, so a set that does not begin with
-    image 0 has no ``gt.csv``.
+    ``poses`` and ``conditions`` are by the images' indices, in order and without gaps. A split
+    without images has no files. Row N of ``gt.csv`` is that of image N, so a set that does not
+    begin with image 0 has no ``gt.csv``.
     """
     camera.write(folder / CAMERA_FILE)
     names = [CAMERA_FILE]
@@ -85,17 +87,12 @@ def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> lis
             lines = [f"{urso.image_name(index)}\n" for index in members]
             write_text(folder / names[-2], "".join(lines))
             _write_poses(folder / names[-1], [poses[index] for index in members])
-    return names
-
-
-def write_conditions(folder: Path, conditions: Mapping[int, Conditions]) -> str:
-    """Write the conditions of images, given by index, and return the name of the file."""
     rows = (
         [urso.image_name(n), *(int(v) if isinstance(v, bool) else v for v in row)]
         for n, row in conditions.items()
     )
     write_csv(folder / urso.CONDITIONS, [("image", *Conditions._fields), *rows])
-    return urso.CONDITIONS
+    return [*names, urso.CONDITIONS]
 
 
 def _write_poses(target: Path, poses: Iterable[Pose]) -> None:

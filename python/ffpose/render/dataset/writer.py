@@ -21,17 +21,11 @@ from typing import NamedTuple
 from ffpose._internal.files import atomic_write, expect_room, remove_leftovers, sha256
 from ffpose._internal.seeds import refuse_final
 from ffpose._internal.urso import image_name, index_of
-from ffpose.errors import expect, require
-from ffpose.geometry import Camera
+from ffpose.errors import DataError, expect, require
+from ffpose.geometry import CAMERA_FILE, Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
-from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
-from ffpose.render.layers import (
-    check_labels,
-    depth_step,
-    label_files,
-    render_layers,
-    write_layers,
-)
+from ffpose.render.dataset.tables import conditions_of, write_tables
+from ffpose.render.layers import check_labels, depth_step, label_files, render_layers, write_layers
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import camera_of, label, render
 from ffpose.render.scene import Scene
@@ -76,7 +70,7 @@ class Written(NamedTuple):
 
 
 def write_dataset(
-    scene: Scene | str,
+    scene: Scene | str | Path,
     out: str | Path,
     count: int,
     seed: int = 0,
@@ -184,14 +178,15 @@ def _digests(job: Job, index: int) -> dict[str, str]:
 
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     """Return the folder's manifest, checked to be of the same set; None for a new set."""
-    # Images first: another shard that starts right now writes its manifest before its images.
-    images = _holds_images(job.folder)
+    # These first: another shard that starts right now writes its manifest before them.
+    found = ["images"] if _holds_images(job.folder) else []
+    found += [CAMERA_FILE] if (job.folder / CAMERA_FILE).exists() else []
     old = Manifest.read(job.folder / FILE_NAME)
     if old is None:
-        if images:
+        if found:
             raise ValueError(
                 f"{job.folder}: expected an empty folder or a set that was begun here, "
-                "got images without a manifest"
+                f"got {' and '.join(found)} without a manifest"
             )
         return None
     changed = difference(old, manifest)
@@ -206,10 +201,7 @@ def _close_set(
     """Write label files and manifest of a folder that holds these images and no others."""
     poses = {index: label(job.scene, job.seed, index) for index in indices}
     conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
-    tables = [
-        *write_tables(job.folder, poses, camera),
-        write_conditions(job.folder, conditions),
-    ]
+    tables = write_tables(job.folder, camera, poses, conditions)
     files = files | {name: sha256(job.folder / name) for name in tables}
     replace(manifest, files=files).write(job.folder / FILE_NAME)
     for path in parts(job.folder, indices):
@@ -237,52 +229,45 @@ def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> dict[int,
             digests = _digests(job, index)
         except FileNotFoundError:
             continue
-        image = image_name(index)
-        same = all(known.get(name, digest) == digest for name, digest in digests.items())
-        if same and (image in known or readable(job.folder / image, job.size)):
+        if all(
+            known[name] == digest if name in known else readable(job.folder / name, job.size)
+            for name, digest in digests.items()
+        ):
             valid[index] = digests
     return valid
 
 
 def readable(path: Path, size: tuple[int, int]) -> bool:
-    """Return whether a file is a whole image of a size ``(width, height)``."""
-    from PIL import Image
+    """Return whether a file is a whole image of a size ``(width, height)``, or a whole table."""
+    from ffpose.imaging.images import open_image
 
+    if path.suffix == ".csv":
+        return path.read_bytes().endswith(b"\n")
     try:
-        with Image.open(path) as image:
+        with open_image(path) as image:
             image.load()
             return image.size == size
-    except (OSError, SyntaxError):  # Pillow reports some broken files as SyntaxError
+    except (FileNotFoundError, DataError):
         return False
 
 
 @contextmanager
 def _bar(total: int, done: int, show: bool) -> Iterator[Callable[[], None]]:
+    from rich import progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeRemainingColumn,
-    )
     from rich.text import Text
 
-    class Speed(ProgressColumn):
-        def render(self, task: Task) -> Text:
+    class Speed(progress.ProgressColumn):
+        def render(self, task: progress.Task) -> Text:
             return Text(f"{task.speed:.1f} images/s" if task.speed else "")
 
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        Speed(),
-        TimeRemainingColumn(),
+    columns = progress.BarColumn(), progress.MofNCompleteColumn(), Speed()
+    with progress.Progress(
+        "render",
+        *columns,
+        progress.TimeRemainingColumn(),
         console=Console(stderr=True),
         disable=not show,
-    )
-    with bar:
+    ) as bar:
         task = bar.add_task("render", total=total, completed=done)
         yield lambda: bar.advance(task)

@@ -48,8 +48,7 @@ def _lines(coordinate: Floats, width: float, footprint: Floats) -> Floats:
     cover = np.clip((np.float32(width / 2) - offset) / soft + np.float32(0.5), 0, 1)
     # A pixel wider than the spacing covers many lines: the share of the area that they take.
     share = np.float32(width)
-    result: Floats = np.where(footprint > 0.5, share, np.minimum(cover, share / soft + share))
-    return result
+    return np.asarray(np.where(footprint > 0.5, share, np.minimum(cover, share / soft + share)))
 
 
 def _grid(uv: Floats, width: float, footprint: Floats) -> Floats:

@@ -10,6 +10,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from ffpose.errors import expect
 from ffpose.render.shading.patterns import fbm
 from ffpose.render.shading.vectors import Floats, column, rotate
 
@@ -31,10 +32,8 @@ class Randomization:
     materials: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(0 <= strength < np.inf for strength in astuple(self)) or self.background > 1:
-            raise ValueError(
-                f"randomization: expected numbers of at least 0, background at most 1, got {self}"
-            )
+        usable = all(0 <= strength < np.inf for strength in astuple(self)) and self.background <= 1
+        expect(usable, "randomization", "numbers of at least 0, background at most 1", self)
 
     @classmethod
     def of_strength(cls, strength: float) -> Randomization:
@@ -53,5 +52,4 @@ def backdrop(rays: Floats, rng: np.random.Generator) -> Floats:
     scale = np.exp2(rng.uniform(1.0, 6.0))
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     part = np.clip(0.5 + fbm(rotate(scale * turn, rays), 6, 0.6), 0, 1)
-    result: Floats = first + (second - first) * part
-    return result
+    return np.asarray(first + (second - first) * part)

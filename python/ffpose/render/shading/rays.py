@@ -57,14 +57,13 @@ class View(NamedTuple):
     @property
     def place(self) -> Floats:
         """Hit points (3, H), meters."""
-        result: Floats = self.eye[:, None] + self.rays * self.hits.distance
-        return result
+        return np.asarray(self.eye[:, None] + self.rays * self.hits.distance)
 
 
 @lru_cache(maxsize=4)
 def pixel_rays(camera: Camera) -> Floats:
     """Return unit vectors (3, H·W) through the pixels' centers, row by row, camera frame."""
-    return _unit_rays(camera, _samples(0, camera.width, 1), _samples(0, camera.height, 1))
+    return _unit_rays(camera, Window(0, 0, camera.width, camera.height), 1)
 
 
 def find_window(vertices: NDArray[np.float64], pose: Pose, camera: Camera) -> Window | None:
@@ -80,13 +79,8 @@ def find_window(vertices: NDArray[np.float64], pose: Pose, camera: Camera) -> Wi
 
 def cast_rays(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: int) -> View:
     """Cast `samples` × `samples` rays through each pixel of a window."""
-    rays = _unit_rays(
-        camera,
-        _samples(window.left, window.right, samples),
-        _samples(window.top, window.bottom, samples),
-    )
     back = pose.rotation.T
-    rays = rotate(back, rays)
+    rays = rotate(back, _unit_rays(camera, window, samples))
     eye = (-back @ pose.t).astype(np.float32)
     hits = tracer.first_hits(eye, rays.T, 1 / (camera.fx * samples))
     return View(eye, rays.take(hits.ray, axis=1), hits)
@@ -131,13 +125,10 @@ def _box(grids: NDArray[np.float64]) -> NDArray[np.float64]:
     return total
 
 
-def _samples(start: int, stop: int, samples: int) -> NDArray[np.float64]:
-    """Return `samples` evenly spaced coordinates in each pixel of start … stop − 1."""
-    return (np.arange(start * samples, stop * samples) + 0.5) / samples
-
-
-def _unit_rays(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> Floats:
-    """Return unit vectors (3, len(v)·len(u)) through pixel coordinates u, v, row by row."""
+def _unit_rays(camera: Camera, window: Window, samples: int) -> Floats:
+    """Return unit vectors (3, N) through `samples` × `samples` places of each pixel, by rows."""
+    u = (np.arange(window.left * samples, window.right * samples) + 0.5) / samples
+    v = (np.arange(window.top * samples, window.bottom * samples) + 0.5) / samples
     x = ((u - camera.cx) / camera.fx).astype(np.float32)
     y = ((v - camera.cy) / camera.fy).astype(np.float32)
     columns, rows = np.meshgrid(x, y)

@@ -34,6 +34,9 @@ BOUNCE = 0.2
 LEAST_SLANT = 0.125
 """Cosine to which a texture seen from the side is averaged, as if no more slanted."""
 
+VALUES = ("color", "roughness", "metallic", "emission", "reflectance")
+"""Fields of a material, and of a `Surface`, that textures and patterns change."""
+
 LIFT_M = 2e-3
 """Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
 
@@ -65,27 +68,29 @@ class MaterialTable:
 
     def __init__(self, craft: Craft) -> None:
         table = craft.materials
+        self._values: dict[str, Floats] = {
+            name: np.array([getattr(material, name) for material in table], np.float32).T
+            for name in VALUES
+        }
         self._uv = craft.mesh.uv.astype(np.float32)
         self._normals = craft.mesh.corner_normals
         self._sides = _sides(craft.mesh)
         self._material = craft.mesh.material
-        self._color = np.array([m.color for m in table], dtype=np.float32).T
-        self._emission = np.array([m.emission for m in table], dtype=np.float32).T
-        self._roughness = np.array([m.roughness for m in table], dtype=np.float32)
-        self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
         self._pattern = np.array([m.pattern for m in table])
         self._scale = np.array([m.scale for m in table], dtype=np.float32)
-        self._reflectance = np.array([m.reflectance for m in table], dtype=np.float32).T
         self._tints = craft.mesh.colors
         self._mapped = [number for number, m in enumerate(table) if m.maps]
         self.maps = Maps(craft)
 
     def varied(self, spread: float, rng: np.random.Generator) -> MaterialTable:
         """Return a copy with every material's color and roughness varied by random stops."""
+        color, rough = (
+            self._values[name] * stops(spread, self._values[name].shape, rng)
+            for name in ("color", "roughness")
+        )
+        varied = {"color": np.minimum(color, 1), "roughness": np.clip(rough, LEAST_ROUGHNESS, 1)}
         other = copy.copy(self)
-        other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
-        rough = self._roughness * stops(spread, self._roughness.shape, rng)
-        other._roughness = np.clip(rough, LEAST_ROUGHNESS, 1)
+        other._values = self._values | varied
         return other
 
     def surface(self, view: View, footprint: Floats, samples: int = 1) -> Surface:
@@ -99,14 +104,8 @@ class MaterialTable:
         normal = _blend(self._normals.take(face, axis=0), weights)
         turned = dot(self._sides.take(face, axis=1), view.rays) > 0
         number = self._material.take(face)
-        surface = Surface(
-            self._color.take(number, axis=1),
-            self._roughness.take(number),
-            self._metallic.take(number),
-            self._emission.take(number, axis=1),
-            normal,
-            self._reflectance.take(number, axis=1),
-        )
+        values = {name: table.take(number, axis=-1) for name, table in self._values.items()}
+        surface = Surface(normal=normal, **values)
         if self._tints is not None:
             surface.color[:] *= _blend(self._tints[..., :3].take(face, axis=0), weights)
         if self._mapped:
@@ -190,8 +189,7 @@ def earth_visible(
     blocked = np.zeros(place.shape[1], dtype=np.float32)
     for toward in (middle + scatter, middle - scatter):
         blocked += tracer.blocked(start.T, unit(toward).T)
-    result: Floats = 1 - np.float32((1 - BOUNCE) / 2) * blocked
-    return result
+    return np.asarray(1 - np.float32((1 - BOUNCE) / 2) * blocked)
 
 
 def reflected(
@@ -226,22 +224,19 @@ def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> F
     cos_sun = np.maximum(dot(sun, surface.normal), np.float32(1e-3))
     lobe = _lobe(surface, facing) / (_reach(surface, cos_view) * _reach(surface, cos_sun))
     grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
-    result: Floats = (mirror + (1 - mirror) * grazing) * lobe
-    return result
+    return np.asarray((mirror + (1 - mirror) * grazing) * lobe)
 
 
 def _lobe(surface: Surface, facing: Floats) -> Floats:
     """Evaluate GGX's density of microfacets that face the half vector, times pi."""
     slope = surface.roughness**4
-    result: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
-    return result
+    return np.asarray(slope / (facing * facing * (slope - 1) + 1) ** 2)
 
 
 def _reach(surface: Surface, cosine: Floats) -> Floats:
     """Evaluate the denominator of Smith's shadowing for one direction, without twice the cosine."""
     slope = surface.roughness**4
-    result: Floats = cosine + np.sqrt(slope + (1 - slope) * cosine * cosine)
-    return result
+    return np.asarray(cosine + np.sqrt(slope + (1 - slope) * cosine * cosine))
 
 
 def _earth_shine(
@@ -270,8 +265,7 @@ def _sides(mesh: Mesh) -> Floats:
     """
     sides = mesh.face_normals.T.astype(np.float32)
     outward = dot(sides, mesh.corner_normals.sum(axis=1).T)
-    result: Floats = np.where(outward < 0, -sides, sides)
-    return result
+    return np.asarray(np.where(outward < 0, -sides, sides))
 
 
 def _face_eye(normal: Floats, rays: Floats) -> Floats:
@@ -283,5 +277,4 @@ def _face_eye(normal: Floats, rays: Floats) -> Floats:
 def _blend(corners: Floats, weights: Floats) -> Floats:
     """Interpolate corner values (N, 3, K) by barycentric weights (3, N); returns (K, N)."""
     first, second, third = weights
-    result: Floats = first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T
-    return result
+    return np.asarray(first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T)

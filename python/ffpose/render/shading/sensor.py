@@ -58,15 +58,18 @@ class Sensor:
     jpeg_quality: int = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.bloom, self.read_noise, self.exposure_spread)
-        if min(numbers) < 0 or self.full_well < 1 or not 0 <= self.vignette < 1:
-            raise ValueError(
-                "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
-                f"below 1, got {self}"
-            )
-        expect(0 <= self.blur_px <= BLUR_LIMIT, "blur_px", f"0…{BLUR_LIMIT}", self.blur_px)
-        if not 0 <= self.motion_px <= MOTION_LIMIT:
-            raise ValueError(f"motion_px: expected 0…{MOTION_LIMIT}, got {self.motion_px}")
+        for name in ("bloom", "read_noise", "exposure_spread"):
+            value = getattr(self, name)
+            expect(0 <= value < math.inf, name, "a finite number of at least 0", value)
+        expect(
+            1 <= self.full_well < math.inf,
+            "full_well",
+            "a finite number of at least 1",
+            self.full_well,
+        )
+        expect(0 <= self.vignette < 1, "vignette", "at least 0 and below 1", self.vignette)
+        for name, most in (("blur_px", BLUR_LIMIT), ("motion_px", MOTION_LIMIT)):
+            expect(0 <= getattr(self, name) <= most, name, f"0…{most}", getattr(self, name))
         expect(self.jpeg_quality in range(101), "jpeg_quality", "0…100", self.jpeg_quality)
 
 
@@ -203,8 +206,6 @@ def _add_bloom(signal: Floats, share: float, cell: int) -> None:
     for row, column in np.ndindex(cell, cell):  # several times as fast as a mean over two axes
         excess += beyond[:, row, :, column]
     excess /= cell * cell
-    if not excess.any():
-        return
     spectrum = np.fft.rfft2(excess, (2 * height, 2 * width), axes=(0, 1))
     spectrum *= _halo_spectrum(height, width)[..., None]
     halo = np.fft.irfft2(spectrum, axes=(0, 1))[:height, :width]

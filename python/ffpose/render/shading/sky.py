@@ -50,13 +50,12 @@ def draw_stars(
     base = np.floor(pixel - 0.5).astype(np.int64)
     part = pixel - 0.5 - base
     image = np.zeros((camera.height * camera.width, 3), dtype=np.float32)
-    for dy in (0, 1):
-        for dx in (0, 1):
-            column, row = base[:, 0] + dx, base[:, 1] + dy
-            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
-            seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-            at = row[seen] * camera.width + column[seen]
-            np.add.at(image, at, (weight[:, None] * light)[seen])
+    for dy, dx in np.ndindex(2, 2):
+        column, row = base[:, 0] + dx, base[:, 1] + dy
+        weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+        seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        at = row[seen] * camera.width + column[seen]
+        np.add.at(image, at, (weight[:, None] * light)[seen])
     return image.reshape(camera.height, camera.width, 3)
 
 

@@ -159,8 +159,7 @@ def _traced(
 
 def _behind(distance: Floats) -> Floats:
     """Return the distances at which rays go on behind surfaces."""
-    result: Floats = distance * np.float32(1 + STEP) + np.float32(STEP)
-    return result
+    return np.asarray(distance * np.float32(1 + STEP) + np.float32(STEP))
 
 
 def _some(hits: Hits, at: NDArray[np.bool_] | NDArray[np.intp]) -> Hits:

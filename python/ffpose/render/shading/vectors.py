@@ -14,15 +14,13 @@ Floats = NDArray[np.float32]
 
 def column(values: ArrayLike) -> Floats:
     """Return K values as a float32 column (K, 1), which broadcasts with (K, N)."""
-    result: Floats = np.asarray(values, dtype=np.float32).reshape(-1, 1)
-    return result
+    return np.asarray(values, dtype=np.float32).reshape(-1, 1)
 
 
 def dot(first: ArrayLike, second: Floats) -> Floats:
     """Return the dot products (N,) of the columns of (3, N), or of one (3,), with (3, N)."""
     a, b, c = np.asarray(first, dtype=np.float32)
-    result: Floats = a * second[0] + b * second[1] + c * second[2]
-    return result
+    return np.asarray(a * second[0] + b * second[1] + c * second[2])
 
 
 def rotate(matrix: NDArray[np.float64], vectors: Floats) -> Floats:
