@@ -51,12 +51,6 @@ def to_array(tensor: Tensor) -> NDArray[Any]:
     return np.require(tensor.contiguous().numpy(force=True), requirements="A")
 
 
-def to_tensor(array: NDArray[Any], dtype: torch.dtype) -> Tensor:
-    """Return a tensor of ``dtype``, which shares the array's memory if the dtypes are equal."""
-    tensor = torch.from_numpy(array)
-    return tensor.to(dtype) if dtype in HALF_DTYPES else tensor
-
-
 def add(a: Tensor | None, b: Tensor | None) -> Tensor | None:
     """Return ``a + b``, with None as zero."""
     if a is None or b is None:

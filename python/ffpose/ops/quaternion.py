@@ -22,9 +22,8 @@ from ffpose._internal.torch_internals import (
     is_recording,
     outer_tangents,
     primals,
-    transforms_at_work,
 )
-from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array, to_tensor
+from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array
 
 FORWARD = "ffpose::normalize_quaternion"
 BACKWARD = "ffpose::normalize_quaternion_backward"
@@ -53,23 +52,17 @@ def normalize_quaternion(q: Tensor) -> Tensor:
             leading dimensions. On devices other than the CPU this check synchronizes.
         TypeError: The dtype of ``q`` is not supported.
     """
-    _check(q)
-    if is_plain(q):
-        if not (torch.is_grad_enabled() and q.requires_grad):
-            return _forward_rust(q)
-        if not transforms_at_work():
-            recorded: Tensor = _NormalizeQuaternionOnCpu.apply(q)
-            return recorded
-    if is_recording():
-        return _forward_op(q)
-    result: Tensor = _NormalizeQuaternion.apply(q)
+    check_tensor("q", q)
+    if is_plain(q) and not (torch.is_grad_enabled() and q.requires_grad):
+        return _forward_cpu(q)
+    result: Tensor = _forward_op(q) if is_recording() else _NormalizeQuaternion.apply(q)
     return result
 
 
 def _gradient(grad: Tensor, q: Tensor) -> Tensor:
     """Return ``B(grad, q)``."""
     if not torch.is_grad_enabled() and is_plain(grad, q):
-        return _backward_rust(grad, q)
+        return _backward_cpu(grad, q)
     result: Tensor = _NormalizeQuaternionBackward.apply(grad, q)
     return result
 
@@ -101,17 +94,6 @@ class _NormalizeQuaternion(Function):
     def vmap(info: Any, in_dims: Sequence[int | None], q: Tensor) -> tuple[Tensor, int]:
         """Treat the batch as one more leading dimension."""
         return normalize_quaternion(_batch_first(q, in_dims[0], info.batch_size)), 0
-
-
-class _NormalizeQuaternionOnCpu(Function):
-    """`_NormalizeQuaternion` for plain autograd, with less overhead; see `ffpose.ops.spectral`."""
-
-    @staticmethod
-    def forward(ctx: Any, q: Tensor) -> Tensor:
-        ctx.save_for_backward(q)
-        return _forward_rust(q)
-
-    backward = _NormalizeQuaternion.backward
 
 
 class _NormalizeQuaternionBackward(Function):
@@ -179,23 +161,15 @@ def _check_gradient(grad: Tensor, q: Tensor) -> None:
     check_alike("grad", grad, "q", q)
 
 
-def _forward_rust(q: Tensor) -> Tensor:
-    return to_tensor(_rust.normalize_quaternion(to_array(q)), q.dtype)
-
-
-def _backward_rust(grad: Tensor, q: Tensor) -> Tensor:
-    result = _rust.normalize_quaternion_backward(to_array(grad), to_array(q))
-    return to_tensor(result, q.dtype)
-
-
 def _forward_cpu(q: Tensor) -> Tensor:
     _check(q)
-    return _forward_rust(q)
+    return torch.from_numpy(_rust.normalize_quaternion(to_array(q))).to(q.dtype)
 
 
 def _backward_cpu(grad: Tensor, q: Tensor) -> Tensor:
     _check_gradient(grad, q)
-    return _backward_rust(grad, q)
+    result = _rust.normalize_quaternion_backward(to_array(grad), to_array(q))
+    return torch.from_numpy(result).to(q.dtype)
 
 
 def _forward_elsewhere(q: Tensor) -> Tensor:
@@ -232,25 +206,13 @@ def _backward_fake(grad: Tensor, q: Tensor) -> Tensor:
     return q.new_empty(q.shape)
 
 
-def _record_forward(q: Tensor) -> Any:
-    if is_plain(q):
-        return normalize_quaternion(q)
-    _check(q)
-    return _NormalizeQuaternion.apply(q)
-
-
-def _record_backward(grad: Tensor, q: Tensor) -> Any:
-    _check_gradient(grad, q)
-    return _NormalizeQuaternionBackward.apply(grad, q)
-
-
 torch.library.impl(FORWARD, "cpu", _forward_cpu)
 torch.library.impl(FORWARD, "default", _forward_elsewhere)
-torch.library.impl(FORWARD, "Autograd", _record_forward)
+torch.library.impl(FORWARD, "Autograd", _NormalizeQuaternion.apply)
 torch.library.register_fake(FORWARD, _forward_fake)
 torch.library.register_vmap(FORWARD, _NormalizeQuaternion.vmap)
 torch.library.impl(BACKWARD, "cpu", _backward_cpu)
 torch.library.impl(BACKWARD, "default", _backward_elsewhere)
-torch.library.impl(BACKWARD, "Autograd", _record_backward)
+torch.library.impl(BACKWARD, "Autograd", _NormalizeQuaternionBackward.apply)
 torch.library.register_fake(BACKWARD, _backward_fake)
 torch.library.register_vmap(BACKWARD, _NormalizeQuaternionBackward.vmap)
