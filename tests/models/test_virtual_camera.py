@@ -6,18 +6,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera
+from ffpose.geometry.warping import sample_planes
 from ffpose.models.virtual_camera import (
     chosen,
     pyramid,
     pyramid_level,
     render_virtual,
-    sample,
     source_pixels,
-    toward,
     turn_to,
-    turned_about_axis,
 )
-from ffpose.nn.rotations import quaternion_to_matrix
+from ffpose.nn.rotations import quaternion_to_matrix, toward, turned_about_axis
 
 CAMERA = Camera(320, 240, 150.0, 145.0, 150.0, 125.0)
 INTRINSICS = torch.tensor([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], dtype=torch.float64)
@@ -175,13 +173,12 @@ def test_each_view_may_have_a_camera_of_its_own(generator):
 
 def test_sampling_a_pixels_center_gives_the_pixel():
     image = torch.rand(2, 3, 5, 7, dtype=torch.float64)
-    centers = torch.from_numpy(pixel_grid((5, 7))[..., :2]).expand(2, 5, 7, 2)
-    torch.testing.assert_close(sample(image, centers), image)
+    u, v = torch.from_numpy(pixel_grid((5, 7))).unbind(-1)[:2]
+    u, v = u.expand(2, 5, 7), v.expand(2, 5, 7)
+    torch.testing.assert_close(sample_planes(image, u, v), image)
     between = (image[..., :-1] + image[..., 1:]) / 2
-    torch.testing.assert_close(
-        sample(image, centers[:, :, :-1] + torch.tensor([0.5, 0.0])), between
-    )
-    assert not sample(image, centers + 100).any()
+    torch.testing.assert_close(sample_planes(image, u[..., :-1] + 0.5, v[..., :-1]), between)
+    assert not sample_planes(image, u + 100, v + 100).any()
 
 
 @pytest.mark.parametrize(
