@@ -188,7 +188,7 @@ def test_auto_never_hangs(client, monkeypatch):
     monkeypatch.setattr(client, "get_hf_file_metadata", lambda *_: time.sleep(60))
     monkeypatch.setattr(hub, "ANSWER_SECONDS", 0.05)
     started = time.monotonic()
-    with pytest.raises(FileNotFoundError, match="asking https://huggingface.co took over"):
+    with pytest.raises(FileNotFoundError, match=r"asking https://huggingface\.co took over"):
         hub.find_pretrained(NAME)
     monkeypatch.setattr(client, "get_hf_file_metadata", lambda *_: "there")
     monkeypatch.setattr(client, "hf_hub_download", lambda *_, **__: time.sleep(60))
