@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.choices import FilterKind, NormPlace
-from ffpose.errors import expect
+from ffpose.errors import expect, expect_shape
 from ffpose.nn.attention import SelfAttention
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
@@ -185,9 +185,6 @@ class Filterformer(nn.Module):
         Raises:
             ValueError: ``x`` is not ``(B, extra_tokens + rows * columns, dim)``.
         """
-        if x.dim() != 3 or x.shape[1:] != (self.length, self.dim):
-            raise ValueError(
-                f"x: expected shape (B, {self.length}, {self.dim}), got {tuple(x.shape)}"
-            )
+        expect_shape("x", x, self.length, self.dim)
         result: Tensor = self.norm(self.blocks(x))
         return result

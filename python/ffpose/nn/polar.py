@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose._internal.choices import PolarMixer
+from ffpose.errors import expect
 from ffpose.nn.spectral import SpectralFilter
 
 KERNEL = 3
@@ -118,6 +119,7 @@ class PolarAttention(nn.Module):
     def __init__(self, size: tuple[int, int, int], heads: int = 4) -> None:
         super().__init__()
         radii, angles, channels = size
+        expect(channels % heads == 0, "channels", f"a multiple of the {heads} heads", channels)
         self.heads = heads
         self.norm = nn.LayerNorm(channels)
         self.qkv = nn.Linear(channels, 3 * channels)
