@@ -168,8 +168,10 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
     path, origin = Path(weights), {"source": Path(weights).name}
     if weights == "auto":
         path, origin = find_pretrained(name)
-    wanted = features.state_dict()
-    state = {key: value for key, value in read_state(path).items() if key in wanted}
+    wanted, published = features.state_dict(), read_state(path)
+    # timm's extractor may have flattened ``stages.0`` to ``stages_0``.
+    flat = {key.replace(".", "_", 1): value for key, value in published.items()}
+    state = {key: value for key, value in {**flat, **published}.items() if key in wanted}
     check_state(state, wanted, f"the weights of {name}", path)
     features.load_state_dict(state)
     return {"name": name, **origin, "sha256": sha256(path)}
