@@ -47,12 +47,8 @@ def euler_grid(count: int) -> Tensor:
     -90 to 90. Unit quaternions are ``(w, x, y, z)``.
     """
     steps = torch.linspace(-1, 1, count, dtype=torch.float64)
-    roll, pitch, yaw = (
-        grid.flatten()
-        for grid in torch.meshgrid(
-            math.pi * steps, math.pi / 2 * steps, math.pi * steps, indexing="ij"
-        )
-    )
+    turns, halves = math.pi * steps, math.pi / 2 * steps
+    roll, pitch, yaw = torch.cartesian_prod(turns, halves, turns).unbind(1)
     ends = (roll == math.pi) | (yaw == math.pi)
     poles = (pitch.abs() == math.pi / 2) & (roll != -math.pi)
     kept = ~(ends | poles)

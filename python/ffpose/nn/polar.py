@@ -127,10 +127,8 @@ class PolarAttention(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
         self.bias = nn.Parameter(torch.zeros(heads, radii * radii * angles))
-        radius, angle = (
-            axis.flatten()
-            for axis in torch.meshgrid(torch.arange(radii), torch.arange(angles), indexing="ij")
-        )
+        cells = torch.cartesian_prod(torch.arange(radii), torch.arange(angles))
+        radius, angle = cells.unbind(1)
         turn = (angle[:, None] - angle) % angles
         between = (radius[:, None] * radii + radius) * angles + turn  # (cells, cells)
         self.register_buffer("between", between, persistent=False)
