@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 from ffpose.nn.orientation import AttitudeBins
+from ffpose.nn.rotations import quaternion_product, turned_about_axis
 
 
 class EulerBinsHead(AttitudeBins):
@@ -52,15 +53,7 @@ def euler_grid(count: int) -> Tensor:
     ends = (roll == math.pi) | (yaw == math.pi)
     poles = (pitch.abs() == math.pi / 2) & (roll != -math.pi)
     kept = ~(ends | poles)
-    (cr, sr), (cp, sp), (cy, sy) = (
-        ((angle[kept] / 2).cos(), (angle[kept] / 2).sin()) for angle in (roll, pitch, yaw)
+    x, y, z = (
+        turned_about_axis(angle[kept], axis) for axis, angle in enumerate((roll, pitch, yaw), 1)
     )
-    return torch.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        dim=-1,
-    )
+    return quaternion_product(z, quaternion_product(y, x))

@@ -104,8 +104,11 @@ LEAST = constant(
 """From ``(|d|, x, y, z)`` to ``(|d| + z, -y, x, 0)``."""
 
 
-def turned_about_axis(angles: Tensor) -> Tensor:
-    """Return rotations about the z axis by ``angles (B,)``, radians: quaternions ``(B, 4)``."""
-    c, s = (angles / 2).cos(), (angles / 2).sin()
-    zero = torch.zeros_like(c)
-    return torch.stack([c, zero, zero, s], dim=-1)
+def turned_about_axis(angles: Tensor, axis: int = 3) -> Tensor:
+    """Return rotations about an axis by ``angles (B,)``, radians: quaternions ``(B, 4)``.
+
+    ``axis`` is 1, 2 or 3 for x, y or z.
+    """
+    parts = [(angles / 2).cos(), *[torch.zeros_like(angles)] * 3]
+    parts[axis] = (angles / 2).sin()
+    return torch.stack(parts, dim=-1)
