@@ -109,6 +109,7 @@ def turned_about_axis(angles: Tensor, axis: int = 3) -> Tensor:
 
     ``axis`` is 1, 2 or 3 for x, y or z.
     """
-    parts = [(angles / 2).cos(), *[torch.zeros_like(angles)] * 3]
-    parts[axis] = (angles / 2).sin()
+    c, s = (angles / 2).cos(), (angles / 2).sin()
+    parts = [c, *[torch.zeros_like(c)] * 3]
+    parts[axis] = s
     return torch.stack(parts, dim=-1)
