@@ -131,6 +131,14 @@ def expect(holds: bool, name: str, expected: str, got: object) -> None:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
+def expect_shape(name: str, values: Any, *sizes: int) -> None:
+    """Check that an array or tensor has the shape ``(B, *sizes)``; raises as `expect`."""
+    shape = tuple(values.shape)
+    if len(shape) != 1 + len(sizes) or shape[1:] != sizes:
+        expected = ", ".join(map(str, ("B", *sizes)))
+        raise ValueError(f"{name}: expected shape ({expected}), got {shape}")
+
+
 def expect_least(values: object, prefix: str = "", **least: float) -> None:
     """Check that each field named is at least so large; raises as `expect`."""
     for name, bound in least.items():

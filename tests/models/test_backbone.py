@@ -107,6 +107,18 @@ def test_weights_of_a_file(file, tmp_path):
     assert same_as(build_backbone(NAME, (16, 8), str(pickled)), file)
 
 
+def test_weights_of_a_network_whose_stages_have_other_names_in_timms_extractor(tmp_path):
+    """``stages.0`` of the classifier is ``stages_0`` there."""
+    whole = timm.create_model("test_convnext").eval()
+    path = tmp_path / "classifier.safetensors"
+    safetensors.torch.save_file(whole.state_dict(), path)
+    images = torch.randn(2, 3, 64, 96)
+    with torch.no_grad():
+        (ours,) = build_backbone("test_convnext", (16,), path).eval()(images)
+        theirs = whole.stages[2](whole.stages[1](whole.stages[0](whole.stem(images))))
+    torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
 def test_file_of_another_model(file):
     with pytest.raises(DataError, match=r"classifier\.safetensors: expected the weights of resnet"):
         build_backbone("resnet10t", (16, 8), file)

@@ -50,6 +50,8 @@ def test_a_grid_covers_the_image():
         ("dropout", 1.0, "dropout: expected 0 <= dropout < 1, got 1.0"),
         ("dropout", float("nan"), "dropout: expected"),
         ("filter_std", -1.0, "filter_std: expected at least 0"),
+        ("bins_width_deg", 0.0, "bins_width_deg: expected above 0, got 0.0"),
+        ("bins_width_deg", float("inf"), "bins_width_deg: expected above 0"),
         ("image_size", (224,), r"image_size: expected 2 numbers, got \(224,\)"),
         ("image_size", 224, "image_size: expected 2 numbers, got 224"),
         ("image_size", (224, 8), "image_size: expected each at least 16"),

@@ -551,6 +551,16 @@ def test_refused_fields(fields, text):
         build_polar(**fields)
 
 
+def test_heads_of_attention_share_the_channels_evenly():
+    with pytest.raises(ValueError, match="channels: expected a multiple of the 4 heads, got 10"):
+        build_polar(mixer="attention", channels=(4, 8, 10))
+
+
+def test_points_of_another_shape_are_refused(model):
+    with pytest.raises(ValueError, match=r"points: expected shape \(B, 3\), got \(3,\)"):
+        model.predict_near(images(), POINTS[0])
+
+
 def test_the_last_map_has_cells_of_fifteen_degrees():
     config = PolarPoseConfig()
     assert (config.object_grid, config.heat_grid) == ((4, 24), (12, 16))

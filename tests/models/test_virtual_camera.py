@@ -6,18 +6,15 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera
+from ffpose.geometry.warping import sample_planes
 from ffpose.models.virtual_camera import (
     chosen,
     pyramid,
     pyramid_level,
     render_virtual,
-    sample,
     source_pixels,
-    toward,
     turn_to,
-    turned_about_axis,
 )
-from ffpose.nn.rotations import quaternion_to_matrix
 
 CAMERA = Camera(320, 240, 150.0, 145.0, 150.0, 125.0)
 INTRINSICS = torch.tensor([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], dtype=torch.float64)
@@ -49,31 +46,6 @@ def turned_views(generator, count, most_deg=60):
     points = points_ahead(generator, count, most_deg)
     twist = torch.from_numpy(generator.uniform(-np.pi, np.pi, count))
     return points, turn_to(points, 3.0, SIZE, WIDTH, twist)
-
-
-def test_toward_is_the_least_rotation_that_takes_the_axis_there(generator):
-    rays = directions(generator, 200, 170)
-    points = torch.from_numpy(rays * generator.uniform(0.1, 9, (200, 1)))
-    matrices = quaternion_to_matrix(toward(points)).numpy()
-    np.testing.assert_allclose(
-        matrices @ matrices.swapaxes(1, 2), np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-12
-    )
-    np.testing.assert_allclose(np.linalg.det(matrices), 1, rtol=1e-12)
-    np.testing.assert_allclose(matrices @ [0, 0, 1], rays, atol=1e-12)
-    angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    np.testing.assert_allclose(Rotation.from_matrix(matrices).magnitude(), angles, atol=1e-12)
-
-
-def test_toward_the_axis_itself_turns_nothing():
-    assert toward(torch.tensor([[0.0, 0.0, 7.0]])).tolist() == [[1.0, 0.0, 0.0, 0.0]]
-
-
-def test_a_twist_is_a_rotation_about_z(generator):
-    angles = generator.uniform(-np.pi, np.pi, 20)
-    expected = Rotation.from_euler("z", angles[:, None]).as_quat(scalar_first=True)
-    np.testing.assert_allclose(
-        turned_about_axis(torch.from_numpy(angles)).numpy(), expected, atol=1e-12
-    )
 
 
 def test_rotation_and_quaternion_of_a_camera_are_one(generator):
@@ -175,13 +147,12 @@ def test_each_view_may_have_a_camera_of_its_own(generator):
 
 def test_sampling_a_pixels_center_gives_the_pixel():
     image = torch.rand(2, 3, 5, 7, dtype=torch.float64)
-    centers = torch.from_numpy(pixel_grid((5, 7))[..., :2]).expand(2, 5, 7, 2)
-    torch.testing.assert_close(sample(image, centers), image)
+    u, v = torch.from_numpy(pixel_grid((5, 7))).unbind(-1)[:2]
+    u, v = u.expand(2, 5, 7), v.expand(2, 5, 7)
+    torch.testing.assert_close(sample_planes(image, u, v), image)
     between = (image[..., :-1] + image[..., 1:]) / 2
-    torch.testing.assert_close(
-        sample(image, centers[:, :, :-1] + torch.tensor([0.5, 0.0])), between
-    )
-    assert not sample(image, centers + 100).any()
+    torch.testing.assert_close(sample_planes(image, u[..., :-1] + 0.5, v[..., :-1]), between)
+    assert not sample_planes(image, u + 100, v + 100).any()
 
 
 @pytest.mark.parametrize(

@@ -111,8 +111,8 @@ def test_images_do_not_mix():
         ({"filter": "fourier"}, r"filter: expected one of .*'tokens', 'grid', 'none'.*'fourier'"),
         ({"norm": "both"}, r"norm: expected one of .*'pre', 'post'.*'both'"),
         ({"heads": 3}, "heads: expected a divisor of dim 8, got 3"),
-        ({"outputs": 14}, "outputs: expected None, or 1 to 13 with depth .*, got 14 with depth 2"),
-        ({"outputs": 1, "depth": 0}, "outputs: expected None, .* got 1 with depth 0"),
+        ({"outputs": 14}, r"outputs: expected None, or 1 to 13 .* \(it is 2\), got 14"),
+        ({"outputs": 1, "depth": 0}, r"outputs: expected None, .* \(it is 0\), got 1"),
     ],
 )
 def test_wrong_construction(options, text):

@@ -42,3 +42,30 @@ def test_matrices(pair):
     q = wxyz(pair[1])
     matrices = tensors.quaternion_to_matrix(torch.from_numpy(q))
     np.testing.assert_allclose(matrices.numpy(), arrays.rotation_matrix(q), atol=1e-15)
+
+
+def test_toward_is_the_least_rotation_that_takes_the_axis_there():
+    generator = np.random.default_rng(0)
+    rays = generator.normal(size=(200, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = rays[rays[:, 2] > np.cos(np.radians(170))]
+    points = torch.from_numpy(rays * generator.uniform(0.1, 9, (len(rays), 1)))
+    matrices = tensors.quaternion_to_matrix(tensors.toward(points)).numpy()
+    unit = np.broadcast_to(np.eye(3), matrices.shape)
+    np.testing.assert_allclose(matrices @ matrices.swapaxes(1, 2), unit, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(matrices), 1, rtol=1e-12)
+    np.testing.assert_allclose(matrices @ [0, 0, 1], rays, atol=1e-12)
+    angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    np.testing.assert_allclose(Rotation.from_matrix(matrices).magnitude(), angles, atol=1e-12)
+
+
+def test_toward_the_axis_itself_turns_nothing():
+    assert tensors.toward(torch.tensor([[0.0, 0.0, 7.0]])).tolist() == [[1.0, 0.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize(("axis", "name"), [(1, "x"), (2, "y"), (3, "z")])
+def test_a_turn_is_about_its_axis(axis, name):
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, 20)
+    expected = Rotation.from_euler(name, angles[:, None]).as_quat(scalar_first=True)
+    got = tensors.turned_about_axis(torch.from_numpy(angles), axis).numpy()
+    np.testing.assert_allclose(got, expected, atol=1e-12)

@@ -77,7 +77,8 @@ def test_the_kernels_of_other_devices_give_the_cpus_numbers(layer, shape, monkey
         monkeypatch.setattr(_rust, name, unreachable)
     with AsOnCuda() as mode:
         got = results(layer, doubles(shape))
-    assert len(mode.calls) == 2  # an operator and its backward
+    # A filter's backward is an operator too.
+    assert len(mode.calls) == (1 if isinstance(layer, QuaternionActivation) else 2)
     torch.testing.assert_close(got, expected)
 
 

@@ -7,6 +7,7 @@ its structure in other sizes. Nothing here needs torch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -80,6 +81,8 @@ class FilterformerPoseConfig(FrameConfig):
         expect(divides, "heads", f"a divisor of dim {self.dim}", self.heads)
         expect(0 <= self.dropout < 1, "dropout", "0 <= dropout < 1", self.dropout)
         expect(self.filter_std >= 0, "filter_std", "at least 0", self.filter_std)
+        width = self.bins_width_deg
+        expect(0 < width < math.inf, "bins_width_deg", "above 0", width)
 
     @property
     def coarsest_reduction(self) -> int:

@@ -47,7 +47,10 @@ class NetworkConfig:
                     continue
                 kind = get_args(kind)[0]
             if get_origin(kind) is tuple:  # JSON and YAML bring lists
-                object.__setattr__(self, name, _as_tuple(name, value, len(get_args(kind))))
+                length = len(get_args(kind))
+                fits = isinstance(value, list | tuple) and len(value) == length
+                expect(fits, name, f"{length} numbers", value)
+                object.__setattr__(self, name, tuple(value))
             elif kind is int:
                 fits = is_whole(value) and value >= 1
                 expect(fits, name, "a whole number, at least 1", value)
@@ -179,9 +182,3 @@ class FrameConfig(NetworkConfig):
 def is_whole(value: Any) -> bool:
     """Return whether a value is an integer, which a bool is not."""
     return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _as_tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
-    fits = isinstance(value, list | tuple) and len(value) == length
-    expect(fits, name, f"{length} numbers", value)
-    return tuple(value)

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from ffpose._internal.torch_internals import register_named_tuple
 from ffpose._internal.zoo import resolve
 from ffpose.config import PRESETS, FrameConfig, NetworkConfig
-from ffpose.errors import DataError, expect
+from ffpose.errors import DataError, expect, expect_shape
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
 from ffpose.models.hub import BackboneSource
@@ -115,13 +115,6 @@ class BaseNetwork(nn.Module, ABC):
         Raises:
             ValueError: ``images`` is not ``(B, 3, *config.image_size)``.
         """
-
-    def check_images(self, images: Tensor) -> None:
-        """Check the shape of the network's input, as `forward` does."""
-        expected = (3, *self.config.image_size)
-        if images.dim() != 4 or tuple(images.shape[1:]) != expected:
-            sizes = ", ".join(map(str, expected))
-            raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
 
     @classmethod
     def from_config(
@@ -259,7 +252,7 @@ class FrameNetwork(BaseNetwork):
 
     def forward(self, images: Tensor) -> PosePrediction:
         """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
-        self.check_images(images)
+        expect_shape("images", images, 3, *self.config.image_size)
         translation, orientation = self.regress(images)
         kind = images.device.type
         if not torch.is_autocast_enabled(kind):

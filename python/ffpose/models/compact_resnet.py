@@ -50,15 +50,10 @@ class CompactResNet(nn.Module):
 
     ``widths`` are the channels of the stem and of the maps; later stages than that of the coarsest
     stride, ``reduction``, are not built.
-
-    Raises:
-        ValueError: ``reduction`` is not in `REDUCTIONS`.
     """
 
     def __init__(self, widths: Sequence[int], reduction: int) -> None:
         super().__init__()
-        if reduction not in REDUCTIONS:
-            raise ValueError(f"reduction: expected one of {REDUCTIONS}, got {reduction}")
         self.stem = nn.Sequential(
             nn.Conv2d(3, widths[0], 3, 2, 1, bias=False),
             nn.BatchNorm2d(widths[0]),

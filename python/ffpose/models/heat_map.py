@@ -23,7 +23,6 @@ from ffpose.models.compact_resnet import BasicBlock
 APART = 2
 """Cells between two peaks that are not one, along a side."""
 
-
 ENTROPY_WEIGHT = 0.1
 
 
@@ -56,8 +55,7 @@ class HeatMap(nn.Module):
         rows, columns = config.heat_grid
         self.block = BasicBlock(channels, config.first_channels)
         self.numbers = nn.Conv2d(config.first_channels, 2 * DENSE**2, 1)
-        row, column = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
-        cells = torch.stack([column, row], dim=-1).flatten(0, 1).float()  # (N, 2)
+        cells = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).flip(1)  # (N, 2)
         height, width = config.image_size
         pixels = torch.tensor([width / columns, height / rows])
         self.register_buffer("centers", (cells + 0.5) * pixels, persistent=False)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -37,6 +38,7 @@ ANSWER_SECONDS = 4.0
 DOWNLOAD_SECONDS = 180.0
 HUB_FILE = "model.safetensors"
 NEWEST = "main"
+NAMES_SHOWN = 4
 
 
 class Pin(NamedTuple):
@@ -96,27 +98,27 @@ def find_pretrained(name: str) -> tuple[Path, dict[str, str]]:
 def _download(name: str, repository: str, revision: str) -> str:
     """Download the file of a repository and return its path, in the folder of its commit."""
     hub = require("huggingface_hub", "pose")
-    place = hub.constants.ENDPOINT
     if hub.constants.HF_HUB_OFFLINE:
         raise _missing(name, f"HF_HUB_OFFLINE is set and the cache has no {repository}@{revision}")
     url = hub.hf_hub_url(repository, HUB_FILE, revision=revision)
-    try:
-        within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url))
-    except TimeoutError as error:
-        raise _missing(name, f"{place} does not answer within {ANSWER_SECONDS:g} s") from error
-    except Exception as error:  # of the hub's client, whose errors share no base
-        raise _missing(name, f"asking {place} failed: {_told(error)}") from error
+    asking = f"asking {hub.constants.ENDPOINT}"
+    _ask(name, asking, ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url))
     logger.info("downloading the weights of %s from %s", name, url)
+
+    def download() -> str:
+        return str(hub.hf_hub_download(repository, HUB_FILE, revision=revision))
+
+    return _ask(name, "the download", DOWNLOAD_SECONDS, download)
+
+
+def _ask(name: str, what: str, seconds: float, call: Callable[[], Answer]) -> Answer:
+    """Return the result of ``call``, or raise that the weights are missing, and why."""
     try:
-        path: str = within(
-            DOWNLOAD_SECONDS,
-            lambda: hub.hf_hub_download(repository, HUB_FILE, revision=revision),
-        )
+        return within(seconds, call)
     except TimeoutError as error:
-        raise _missing(name, f"the download took over {DOWNLOAD_SECONDS:g} s") from error
-    except Exception as error:  # as above, or of the disk
-        raise _missing(name, f"the download failed: {_told(error)}") from error
-    return path
+        raise _missing(name, f"{what} took over {seconds:g} s") from error
+    except Exception as error:  # of the hub's client, whose errors share no base, or of the disk
+        raise _missing(name, f"{what} failed: {_told(error)}") from error
 
 
 def _told(error: BaseException) -> str:
@@ -139,23 +141,16 @@ def within(seconds: float, call: Callable[[], Answer]) -> Answer:
 
     It runs in a daemon thread, because a DNS lookup has no timeout.
     """
-    answers: list[Answer] = []
-    errors: list[Exception] = []
+    answer: Future[Answer] = Future()
 
     def attempt() -> None:
         try:
-            answers.append(call())
+            answer.set_result(call())
         except Exception as error:  # for the thread that waits
-            errors.append(error)
+            answer.set_exception(error)
 
-    thread = threading.Thread(target=attempt, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if errors:
-        raise errors[0]
-    if not answers:
-        raise TimeoutError(f"no answer within {seconds:g} s")
-    return answers[0]
+    threading.Thread(target=attempt, daemon=True).start()
+    return answer.result(seconds)
 
 
 def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> BackboneSource:
@@ -173,19 +168,35 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
     path, origin = Path(weights), {"source": Path(weights).name}
     if weights == "auto":
         path, origin = find_pretrained(name)
-    state = read_state(path)
-    wanted = features.state_dict()
-    wrong = [
-        key for key, value in wanted.items() if key not in state or state[key].shape != value.shape
-    ]
-    if wrong:
-        raise DataError(
-            f"expected the weights of {name}; {len(wrong)} of {len(wanted)} entries are missing or"
-            f" have another shape, the first: {', '.join(wrong[:4])}",
-            path,
-        )
-    features.load_state_dict({key: state[key] for key in wanted})
+    wanted, published = features.state_dict(), read_state(path)
+    # timm's extractor may have flattened ``stages.0`` to ``stages_0``.
+    flat = {key.replace(".", "_", 1): value for key, value in published.items()}
+    state = {key: value for key, value in {**flat, **published}.items() if key in wanted}
+    check_state(state, wanted, f"the weights of {name}", path)
+    features.load_state_dict(state)
     return {"name": name, **origin, "sha256": sha256(path)}
+
+
+def check_state(
+    state: Mapping[str, Tensor], wanted: Mapping[str, Tensor], expected: str, path: Path
+) -> None:
+    """Check that tensors are those of a model: none missing, unknown, or of another shape.
+
+    Raises:
+        ffpose.DataError: They are not; the message begins with what was ``expected``.
+    """
+    differences = [
+        *(f"{name} is missing" for name in wanted.keys() - state.keys()),
+        *(f"{name} is unknown" for name in state.keys() - wanted.keys()),
+        *(
+            f"{name} has shape {tuple(state[name].shape)}, expected {tuple(wanted[name].shape)}"
+            for name in wanted.keys() & state.keys()
+            if state[name].shape != wanted[name].shape
+        ),
+    ]
+    if differences:
+        shown = "; ".join(sorted(differences)[:NAMES_SHOWN])
+        raise DataError(f"expected {expected}, got {len(differences)} differences: {shown}", path)
 
 
 def read_state(path: Path) -> Mapping[str, Tensor]:

@@ -26,6 +26,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import PolarPoseConfig
+from ffpose.errors import expect_shape
 from ffpose.models.backbone import Backbone, build_backbone
 from ffpose.models.base import BaseNetwork, UncertainPose
 from ffpose.models.heat_map import HeatMap
@@ -72,6 +73,11 @@ class PolarPose(BaseNetwork):
     It can be exported by `torch.export`, with any batch size if ``dynamic_shapes`` says so. Import
     `ffpose.models` before loading a saved program, to register its operators and result types.
 
+    On a GPU leave float32 products as exact as torch has them by default. In TensorFloat-32
+    (``torch.set_float32_matmul_precision("high")``) the geometry is rounded too, by which poses of
+    `soyuz` move by 0.04° and 0.04 % of the distance in the median of six views, and by 0.07° and
+    0.13 % at most (computed on a CPU, with numbers rounded as a GPU does).
+
     Args:
         config: Architecture of the network.
         backbone: Backbone of the first look, with one feature map of stride
@@ -110,7 +116,7 @@ class PolarPose(BaseNetwork):
     @half_in_learned_parts
     def forward(self, images: Tensor) -> UncertainPose:
         """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
-        self.check_images(images)
+        expect_shape("images", images, 3, *self.config.image_size)
         levels = pyramid(images)
         maps = self.locate(downsampled(levels, self.config.first_stride))
         points, log_masses = self.translation_branch.candidates(*maps, self.config.candidates)
@@ -156,9 +162,10 @@ class PolarPose(BaseNetwork):
             points: ``(B, 3)``, meters, camera frame, in front of the camera.
 
         Raises:
-            ValueError: The shape of ``images`` is not as above.
+            ValueError: The shape of ``images`` or ``points`` is not as above.
         """
-        self.check_images(images)
+        expect_shape("images", images, 3, *self.config.image_size)
+        expect_shape("points", points, 3)
         output, view = self._look_at(pyramid(images), in_front(points))
         across, along = self.config.look_slope
         slopes = output.offset.new_tensor([across, across, along])

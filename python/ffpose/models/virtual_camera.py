@@ -8,9 +8,9 @@ to learn. Poses are transformed between the two cameras by the rotation alone:
 
     t_v = R t,   R_v = R R_object
 
-The rotation `toward` is the smallest one that takes the boresight to the viewing ray, so that
-orientations in the virtual camera's frame are the allocentric ones. All functions take batches, are
-differentiable, and can be exported to ONNX.
+The rotation (`ffpose.nn.rotations.toward`) is the smallest one that takes the boresight to the
+viewing ray, so that orientations in the virtual camera's frame are the allocentric ones. All
+functions take batches, are differentiable, and can be exported to ONNX.
 
 The pixels of a virtual image lie on rings about the viewing ray: radii by angles, as in polar
 coordinates. A rotation of the object about the viewing ray is then a cyclic shift of the image's
@@ -27,11 +27,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ffpose._internal.torch_internals import constant
-from ffpose.geometry.warping import LEAST_DEPTH, sample_planes, source_planes
+from ffpose.geometry.warping import LEAST_DEPTH, source_planes
 from ffpose.imaging.patches import LEVELS, SHARPNESS
 from ffpose.nn.pyramid import halve, sample_pyramid
-from ffpose.nn.rotations import conjugate, quaternion_product, quaternion_to_matrix
+from ffpose.nn.rotations import (
+    conjugate,
+    quaternion_product,
+    quaternion_to_matrix,
+    toward,
+    turned_about_axis,
+)
 
 
 class VirtualCamera(NamedTuple):
@@ -122,37 +127,6 @@ def chosen(taken: Tensor, these: Any, others: Any) -> Any:
     return these
 
 
-def toward(directions: Tensor) -> Tensor:
-    """Return the smallest rotations from the z axis to ``directions (B, 3)``, quaternions.
-
-    Unit quaternions ``(B, 4)``. The directions need not have unit length, but must not point along
-    -z.
-    """
-    length = directions.norm(dim=-1, keepdim=True)
-    # (|d| + z, -y, x, 0) is the unit quaternion times 2 |d| and half the angle's cosine.
-    least = torch.cat((length, directions), dim=-1) @ LEAST.to(directions, non_blocking=True)
-    unit: Tensor = least / least.norm(dim=-1, keepdim=True)
-    return unit
-
-
-LEAST = constant(
-    [
-        [1.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0],
-        [0.0, -1.0, 0.0, 0.0],
-        [1.0, 0.0, 0.0, 0.0],
-    ]
-)
-"""From ``(|d|, x, y, z)`` to ``(|d| + z, -y, x, 0)``."""
-
-
-def turned_about_axis(angles: Tensor) -> Tensor:
-    """Return rotations about the z axis by ``angles (B,)``, radians: quaternions ``(B, 4)``."""
-    c, s = (angles / 2).cos(), (angles / 2).sin()
-    zero = torch.zeros_like(c)
-    return torch.stack([c, zero, zero, s], dim=-1)
-
-
 def turn_to(
     points: Tensor,
     radius_m: float,
@@ -198,11 +172,6 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
     turned = torch.unflatten(matrix, -1, (3, 3)) @ view.rotation.mT
     return torch.cat((turned[:, :, :2] / view.focal[:, None, None], turned[:, :, 2:]), dim=2)
-
-
-def sample(image: Tensor, pixels: Tensor) -> Tensor:
-    """Sample images ``(B, C, H, W)`` at ``pixels (B, h, w, 2)``; zero outside."""
-    return sample_planes(image, *pixels.unbind(-1))
 
 
 def pyramid(images: Tensor) -> list[Tensor]:

@@ -30,14 +30,12 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models.hub import BackboneSource
+from ffpose.models.hub import BackboneSource, check_state
 
 logger = logging.getLogger(__name__)
 
 FORMAT = 4
 """Version of the header, incremented whenever older code could not read it correctly."""
-
-NAMES_SHOWN = 4
 
 OPTIONAL = ("calibration", "tracking")
 ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", *OPTIONAL)
@@ -253,8 +251,8 @@ def load_weights(path: str | Path, model: nn.Module) -> None:
     path = Path(path)
     with _safetensors(path):
         _check_bytes(path)
-        state, expected = load_file(path), model.state_dict()
-    _check_architecture(path, state, expected)
+        state = load_file(path)
+    check_state(state, model.state_dict(), "weights of this architecture", path)
     model.load_state_dict(state)
 
 
@@ -284,26 +282,5 @@ def _check_bytes(path: Path) -> None:
         raise DataError(
             f"the file was altered: expected SHA-256 {' '.join(expected)}, as {sidecar.name} says,"
             f" got {got}",
-            path,
-        )
-
-
-def _check_architecture(
-    path: Path, state: Mapping[str, Tensor], expected: Mapping[str, Tensor]
-) -> None:
-    """Check that the tensors are the model's: none missing, unknown, or of another shape."""
-    differences = [
-        *(f"{name} is missing" for name in expected.keys() - state.keys()),
-        *(f"{name} is unknown" for name in state.keys() - expected.keys()),
-        *(
-            f"{name} has shape {tuple(state[name].shape)}, expected {tuple(expected[name].shape)}"
-            for name in expected.keys() & state.keys()
-            if state[name].shape != expected[name].shape
-        ),
-    ]
-    if differences:
-        shown = "; ".join(sorted(differences)[:NAMES_SHOWN])
-        raise DataError(
-            f"expected weights of this architecture, got {len(differences)} differences: {shown}",
             path,
         )

@@ -23,12 +23,13 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from ffpose.nn.orientation import mean_quaternion
+from ffpose.nn.orientation import AttitudeBins
+from ffpose.nn.rotations import quaternion_product, turned_about_axis
 
 
-class EulerBinsHead(nn.Module):
+class EulerBinsHead(AttitudeBins):
     """Logits over a regular grid of Euler angles.
 
     Args:
@@ -36,32 +37,8 @@ class EulerBinsHead(nn.Module):
         smoothing: Width of the soft assignment in bins.
     """
 
-    bins: Tensor
-    outer: Tensor
-
     def __init__(self, bins_per_dim: int = 24, smoothing: float = 6.0) -> None:
-        super().__init__()
-        attitudes = euler_grid(bins_per_dim)
-        self.features = len(attitudes)
-        self.variance = (smoothing / bins_per_dim) ** 2 / 12
-        self.register_buffer("bins", attitudes.float(), persistent=False)
-        outer = (attitudes[:, :, None] * attitudes[:, None]).flatten(1)  # (features, 16)
-        self.register_buffer("outer", outer.float(), persistent=False)
-
-    def assign(self, q: Tensor) -> Tensor:
-        """Return the soft labels ``(B, features)``, of sum 1, of unit quaternions ``(B, 4)``."""
-        turn = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0)) / math.pi
-        return (-turn.square() / (2 * self.variance)).softmax(-1)
-
-    def decode(self, raw: Tensor) -> Tensor:
-        """Return unit quaternions ``(B, 4)`` for logits ``(B, features)``: the weighted mean."""
-        p = raw.softmax(-1)
-        matrix = torch.unflatten(p @ self.outer, 1, (4, 4))  # sum of p b bT
-        return mean_quaternion(matrix, self.bins[p.argmax(-1)])
-
-    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
-        """Return the cross-entropy with the soft labels for each sample ``(B,)``."""
-        return -(self.assign(q) * raw.log_softmax(-1)).sum(-1)
+        super().__init__(euler_grid(bins_per_dim), math.pi * smoothing / bins_per_dim / 12**0.5)
 
 
 def euler_grid(count: int) -> Tensor:
@@ -71,24 +48,12 @@ def euler_grid(count: int) -> Tensor:
     -90 to 90. Unit quaternions are ``(w, x, y, z)``.
     """
     steps = torch.linspace(-1, 1, count, dtype=torch.float64)
-    roll, pitch, yaw = (
-        grid.flatten()
-        for grid in torch.meshgrid(
-            math.pi * steps, math.pi / 2 * steps, math.pi * steps, indexing="ij"
-        )
-    )
+    turns, halves = math.pi * steps, math.pi / 2 * steps
+    roll, pitch, yaw = torch.cartesian_prod(turns, halves, turns).unbind(1)
     ends = (roll == math.pi) | (yaw == math.pi)
     poles = (pitch.abs() == math.pi / 2) & (roll != -math.pi)
     kept = ~(ends | poles)
-    (cr, sr), (cp, sp), (cy, sy) = (
-        ((angle[kept] / 2).cos(), (angle[kept] / 2).sin()) for angle in (roll, pitch, yaw)
+    x, y, z = (
+        turned_about_axis(angle[kept], axis) for axis, angle in enumerate((roll, pitch, yaw), 1)
     )
-    return torch.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        dim=-1,
-    )
+    return quaternion_product(z, quaternion_product(y, x))

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.choices import FilterKind, NormPlace
-from ffpose.errors import expect
+from ffpose.errors import expect, expect_shape
 from ffpose.nn.attention import SelfAttention
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
@@ -40,20 +40,13 @@ def make_filter(
     Raises:
         ValueError: ``kind`` is unknown.
     """
-    rows, columns = grid
-    match kind:
-        case "tokens":
-            return SpectralFilter((rows * columns, dim), "tokens", std=std)
-        case "grid":
-            return nn.Sequential(
-                nn.Unflatten(1, grid),
-                SpectralFilter((rows, columns, dim), "grid", std=std),
-                nn.Flatten(1, 2),
-            )
-        case "none":
-            return None
-        case _:
-            raise ValueError(f"filter: expected one of {FILTERS}, got {kind!r}")
+    expect(kind in FILTERS, "filter", f"one of {FILTERS}", kind)
+    if kind == "none":
+        return None
+    if kind == "tokens":
+        return SpectralFilter((grid[0] * grid[1], dim), "tokens", std=std)
+    filter = SpectralFilter((*grid, dim), "grid", std=std)
+    return nn.Sequential(nn.Unflatten(1, grid), filter, nn.Flatten(1, 2))
 
 
 class Residual(nn.Module):
@@ -157,11 +150,9 @@ class Filterformer(nn.Module):
         expect(dim % heads == 0, "heads", f"a divisor of dim {dim}", heads)
         self.length = extra_tokens + grid[0] * grid[1]
         self.dim = dim
-        if outputs is not None and not (depth > 0 and 1 <= outputs <= self.length):
-            raise ValueError(
-                f"outputs: expected None, or 1 to {self.length} with depth at least 1,"
-                f" got {outputs} with depth {depth}"
-            )
+        proper = outputs is None or (depth > 0 and 1 <= outputs <= self.length)
+        expected = f"None, or 1 to {self.length} with depth at least 1 (it is {depth})"
+        expect(proper, "outputs", expected, outputs)
         self.blocks = nn.Sequential(
             *(
                 FilterformerBlock(
@@ -185,9 +176,6 @@ class Filterformer(nn.Module):
         Raises:
             ValueError: ``x`` is not ``(B, extra_tokens + rows * columns, dim)``.
         """
-        if x.dim() != 3 or x.shape[1:] != (self.length, self.dim):
-            raise ValueError(
-                f"x: expected shape (B, {self.length}, {self.dim}), got {tuple(x.shape)}"
-            )
+        expect_shape("x", x, self.length, self.dim)
         result: Tensor = self.norm(self.blocks(x))
         return result

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
+from ffpose.errors import expect_shape
+
 
 class HyperHead(nn.Module):
     """Regression from a latent vector ``z``: ``static(z) + W(z) h + b(z)``.
@@ -52,8 +54,7 @@ class HyperHead(nn.Module):
         Raises:
             ValueError: ``z`` is not ``(B, dim)``.
         """
-        if z.dim() != 2 or z.shape[1] != self.dim:
-            raise ValueError(f"z: expected shape (B, {self.dim}), got {tuple(z.shape)}")
+        expect_shape("z", z, self.dim)
         generated = self.generator(z).unflatten(1, (self.out_features, -1))
         weight, bias = generated[..., :-1], generated[..., -1]  # (B, out, mlp_dim), (B, out)
         adapted = (weight @ self.features(z).unsqueeze(-1)).squeeze(-1)

@@ -96,7 +96,48 @@ class QuaternionHead(nn.Module):
         return torch.minimum((q - q_hat).norm(dim=-1), (q + q_hat).norm(dim=-1))
 
 
-class BinsHead(nn.Module):
+class AttitudeBins(nn.Module):
+    """Logits over attitudes ``(bins, 4)``, trained with soft labels: Gaussians of the angle.
+
+    The standard deviation of the labels is ``width``, radians.
+    """
+
+    bins: Tensor
+    outer: Tensor
+
+    def __init__(self, attitudes: Tensor, width: float) -> None:
+        super().__init__()
+        self.features = len(attitudes)
+        self.width = width
+        self.register_buffer("bins", attitudes.float(), persistent=False)
+        outer = (attitudes[:, :, None] * attitudes[:, None]).flatten(1)  # (bins, 16)
+        self.register_buffer("outer", outer.float(), persistent=False)
+
+    def logits(self, raw: Tensor) -> Tensor:
+        """Return logits ``(B, bins)`` for the network's outputs ``(B, features)``."""
+        return raw
+
+    def assign(self, q: Tensor) -> Tensor:
+        """Return the soft labels ``(B, bins)``, of sum 1, of unit quaternions ``(B, 4)``."""
+        angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
+        return (-(angle / self.width).square() / 2).softmax(-1)
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)`` for ``raw (B, features)``: the weighted mean."""
+        p = self.logits(raw).softmax(-1)
+        return self.mean(p, self.bins[p.argmax(-1)])
+
+    def mean(self, weights: Tensor, start: Tensor, squarings: int = POWER_SQUARINGS) -> Tensor:
+        """Return the means of the attitudes by ``weights (B, bins)``; see `mean_quaternion`."""
+        matrix = torch.unflatten(weights @ self.outer, 1, (4, 4))  # sum of p q qT
+        return mean_quaternion(matrix, start, squarings)
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return the cross-entropy with the soft labels for each sample ``(B,)``."""
+        return -(self.assign(q) * self.logits(raw).log_softmax(-1)).sum(-1)
+
+
+class BinsHead(AttitudeBins):
     """Band-limited logits over attitudes spread evenly over SO(3); 8,000 are 9 degrees apart.
 
     Harmonics up to ``degree`` have ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
@@ -105,19 +146,13 @@ class BinsHead(nn.Module):
         ValueError: There are fewer attitudes than coefficients.
     """
 
-    bins: Tensor
-    outer: Tensor
     basis: Tensor
 
     def __init__(self, bins: int = 8000, degree: int = 5, width_deg: float = 7.0) -> None:
-        super().__init__()
         attitudes = super_fibonacci(bins)
+        super().__init__(attitudes, math.radians(width_deg))
         basis = harmonics(attitudes, degree)
         self.features = basis.shape[1]
-        self.width = math.radians(width_deg)
-        self.register_buffer("bins", attitudes.float(), persistent=False)
-        outer = (attitudes[:, :, None] * attitudes[:, None]).flatten(1)  # (bins, 16)
-        self.register_buffer("outer", outer.float(), persistent=False)
         self.register_buffer("basis", basis.float().T.contiguous(), persistent=False)
 
     def logits(self, raw: Tensor) -> Tensor:
@@ -129,14 +164,7 @@ class BinsHead(nn.Module):
         p = self.logits(raw).softmax(-1)
         mode = self.bins[p.argmax(-1)]  # (B, 4)
         near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
-        matrix = torch.unflatten((p * near) @ self.outer, 1, (4, 4))  # sum of p q qT
-        return mean_quaternion(matrix, mode, NEAR_SQUARINGS)
-
-    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
-        """Return the cross-entropy with soft labels for each sample ``(B,)``."""
-        angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
-        target = (-(angle / self.width).square() / 2).softmax(-1)
-        return -(target * self.logits(raw).log_softmax(-1)).sum(-1)
+        return self.mean(p * near, mode, NEAR_SQUARINGS)
 
 
 def mean_quaternion(matrix: Tensor, start: Tensor, squarings: int = POWER_SQUARINGS) -> Tensor:

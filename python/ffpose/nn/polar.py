@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose._internal.choices import PolarMixer
+from ffpose.errors import expect
 from ffpose.nn.spectral import SpectralFilter
 
 KERNEL = 3
@@ -118,6 +119,7 @@ class PolarAttention(nn.Module):
     def __init__(self, size: tuple[int, int, int], heads: int = 4) -> None:
         super().__init__()
         radii, angles, channels = size
+        expect(channels % heads == 0, "channels", f"a multiple of the {heads} heads", channels)
         self.heads = heads
         self.norm = nn.LayerNorm(channels)
         self.qkv = nn.Linear(channels, 3 * channels)
@@ -125,10 +127,8 @@ class PolarAttention(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
         self.bias = nn.Parameter(torch.zeros(heads, radii * radii * angles))
-        radius, angle = (
-            axis.flatten()
-            for axis in torch.meshgrid(torch.arange(radii), torch.arange(angles), indexing="ij")
-        )
+        cells = torch.cartesian_prod(torch.arange(radii), torch.arange(angles))
+        radius, angle = cells.unbind(1)
         turn = (angle[:, None] - angle) % angles
         between = (radius[:, None] * radii + radius) * angles + turn  # (cells, cells)
         self.register_buffer("between", between, persistent=False)

@@ -23,6 +23,7 @@ from torch.nn import functional as F
 
 from ffpose.nn.orientation import NEAR_SQUARINGS, NEIGHBORHOOD_DEG, mean_quaternion
 from ffpose.nn.polar import interpolation
+from ffpose.nn.rotations import conjugate, quaternion_product, toward, turned_about_axis
 
 WEIGHT_STD = 0.02
 
@@ -159,8 +160,6 @@ def attitudes(angles: Tensor, directions: Tensor) -> Tensor:
         directions: Unit vectors ``(J, 3)``, none of them -z; ``R`` is the least rotation that takes
             one to the z axis.
     """
-    x, y, z = directions.unbind(-1)
-    least = torch.stack([1 + z, y, -x, torch.zeros_like(z)], dim=-1)
-    w, i, j, _ = (least / least.norm(dim=-1, keepdim=True)).unbind(-1)
-    c, s = (angles[:, None] / 2).cos(), (angles[:, None] / 2).sin()
-    return torch.stack([c * w, c * i - s * j, c * j + s * i, s * w], dim=-1)
+    least = conjugate(toward(directions))
+    turns = turned_about_axis(angles)
+    return torch.stack([quaternion_product(turn.expand_as(least), least) for turn in turns])

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.choices import PositionKind
+from ffpose.errors import expect, expect_shape
 
 LEARNED_STD = 0.02
 LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5
@@ -34,11 +35,10 @@ class PositionCode(nn.Module):
 
     def __init__(self, grid: tuple[int, int], dim: int, kind: PositionKind = "learned") -> None:
         super().__init__()
-        if kind not in get_args(PositionKind):
-            raise ValueError(f"kind: expected one of {get_args(PositionKind)}, got {kind!r}")
+        kinds = get_args(PositionKind)
+        expect(kind in kinds, "kind", f"one of {kinds}", kind)
         divisor = 2 if kind == "learned" else 4
-        if dim % divisor:
-            raise ValueError(f"dim: {kind} code expected a multiple of {divisor}, got {dim}")
+        expect(dim % divisor == 0, f"{kind} dim", f"a multiple of {divisor}", dim)
         self.grid, self.dim, self.kind = grid, dim, kind
         for name, length in zip(("rows", "columns"), grid, strict=True):
             if kind == "learned":
@@ -54,19 +54,10 @@ class PositionCode(nn.Module):
             ValueError: ``tokens`` is not ``(B, rows * columns, dim)``.
         """
         rows, columns = self.grid
-        if tokens.dim() != 3 or tokens.shape[1:] != (rows * columns, self.dim):
-            raise ValueError(
-                f"tokens: expected shape (B, {rows * columns}, {self.dim}),"
-                f" got {tuple(tokens.shape)}"
-            )
-        code = torch.cat(
-            (
-                self.rows[:, None].expand(-1, columns, -1),
-                self.columns[None].expand(rows, -1, -1),
-            ),
-            dim=-1,
-        )  # (rows, columns, dim)
-        return tokens + code.flatten(0, 1)
+        expect_shape("tokens", tokens, rows * columns, self.dim)
+        by_row = self.rows[:, None].expand(-1, columns, -1)
+        by_column = self.columns[None].expand(rows, -1, -1)
+        return tokens + torch.cat((by_row, by_column), dim=-1).flatten(0, 1)
 
     def extra_repr(self) -> str:
         """Return the arguments shown in the representation."""

@@ -78,3 +78,38 @@ def nearest_equivalent(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
 def conjugate(q: Tensor) -> Tensor:
     """Return the conjugates ``(B, 4)``, the inverse rotations of unit quaternions."""
     return q * INVERSE.to(q, non_blocking=True)
+
+
+def toward(directions: Tensor) -> Tensor:
+    """Return the smallest rotations from the z axis to ``directions (B, 3)``, quaternions.
+
+    Unit quaternions ``(B, 4)``. The directions need not have unit length, but must not point along
+    -z.
+    """
+    length = directions.norm(dim=-1, keepdim=True)
+    # (|d| + z, -y, x, 0) is the unit quaternion times 2 |d| and half the angle's cosine.
+    least = torch.cat((length, directions), dim=-1) @ LEAST.to(directions, non_blocking=True)
+    unit: Tensor = least / least.norm(dim=-1, keepdim=True)
+    return unit
+
+
+LEAST = constant(
+    [
+        [1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0],
+    ]
+)
+"""From ``(|d|, x, y, z)`` to ``(|d| + z, -y, x, 0)``."""
+
+
+def turned_about_axis(angles: Tensor, axis: int = 3) -> Tensor:
+    """Return rotations about an axis by ``angles (B,)``, radians: quaternions ``(B, 4)``.
+
+    ``axis`` is 1, 2 or 3 for x, y or z.
+    """
+    c, s = (angles / 2).cos(), (angles / 2).sin()
+    parts = [c, *[torch.zeros_like(c)] * 3]
+    parts[axis] = s
+    return torch.stack(parts, dim=-1)

@@ -1,9 +1,9 @@
 """Operators on torch tensors, computed by the Rust core on the CPU and by torch.fft elsewhere.
 
-Importing this module registers ``torch.ops.ffpose.spectral_filter``, ``normalize_quaternion`` and
-the backward of each. The functions below are the same operators, with less overhead where neither a
-gradient nor a graph is needed; all are differentiable to any order. The transforms of `torch.func`
-take the functions; of the bare operators only `torch.vmap` does.
+Importing this module registers ``torch.ops.ffpose.spectral_filter``, ``spectral_filter_backward``
+and ``normalize_quaternion``. The functions below are the same operators, with less overhead where
+neither a gradient nor a graph is needed; all are differentiable to any order. The transforms of
+`torch.func` take the functions; of the bare operators only `torch.vmap` does.
 
 A program saved by `torch.export` or AOTInductor refers to the operators by name only: import this
 module before loading it.

@@ -1,13 +1,10 @@
-"""Conversion between torch tensors and NumPy arrays of the Rust core, and checks of tensors."""
+"""What operators take: dtypes, checks of tensors, and batches of `torch.vmap`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 HALF_DTYPES = (torch.bfloat16, torch.float16)
@@ -42,19 +39,6 @@ def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None
         raise ValueError(
             f"{name}: expected device {like.device}, that of {like_name}, got {tensor.device}"
         )
-
-
-def to_array(tensor: Tensor) -> NDArray[Any]:
-    """Return a C-contiguous, aligned array of the arithmetic dtype, copied only if necessary."""
-    if tensor.dtype in HALF_DTYPES:
-        tensor = tensor.float()
-    return np.require(tensor.contiguous().numpy(force=True), requirements="A")
-
-
-def to_tensor(array: NDArray[Any], dtype: torch.dtype) -> Tensor:
-    """Return a tensor of ``dtype``, which shares the array's memory if the dtypes are equal."""
-    tensor = torch.from_numpy(array)
-    return tensor.to(dtype) if dtype in HALF_DTYPES else tensor
 
 
 def add(a: Tensor | None, b: Tensor | None) -> Tensor | None:

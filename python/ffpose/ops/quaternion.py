@@ -2,8 +2,7 @@
 
 Ye et al., Sensors 2023, 23, 8633, Eq. 8 (whose printed form lost the root). With ``u = q / ‖q‖``
 the gradient is ``B(g, q) = (g - u <u, g>) / ‖q‖``, the product of ``g`` with a symmetric matrix.
-Rust computes both on the CPU, torch elsewhere; derivatives of ``B`` are expressed by the same two
-functions.
+Rust computes both on the CPU, torch elsewhere, and where the gradient is differentiated again.
 """
 
 from __future__ import annotations
@@ -11,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd import Function
 
@@ -22,19 +23,15 @@ from ffpose._internal.torch_internals import (
     is_recording,
     outer_tangents,
     primals,
-    transforms_at_work,
 )
-from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array, to_tensor
+from ffpose.ops.bridge import HALF_DTYPES, arithmetic_dtype, check_tensor
 
-FORWARD = "ffpose::normalize_quaternion"
-BACKWARD = "ffpose::normalize_quaternion_backward"
+NAME = "ffpose::normalize_quaternion"
 
 # On a GPU the check for zeros waits for it, which nothing may while a CUDA graph is captured.
 TAGS = (torch.Tag.pt2_compliant_tag, torch.Tag.cudagraph_unsafe)
-torch.library.define(FORWARD, "(Tensor q) -> Tensor", tags=TAGS)
-torch.library.define(BACKWARD, "(Tensor grad, Tensor q) -> Tensor", tags=TAGS)
-_forward_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion.default
-_backward_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion_backward.default
+torch.library.define(NAME, "(Tensor q) -> Tensor", tags=TAGS)
+_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion.default
 
 
 def normalize_quaternion(q: Tensor) -> Tensor:
@@ -53,25 +50,26 @@ def normalize_quaternion(q: Tensor) -> Tensor:
             leading dimensions. On devices other than the CPU this check synchronizes.
         TypeError: The dtype of ``q`` is not supported.
     """
-    _check(q)
-    if is_plain(q):
-        if not (torch.is_grad_enabled() and q.requires_grad):
-            return _forward_rust(q)
-        if not transforms_at_work():
-            recorded: Tensor = _NormalizeQuaternionOnCpu.apply(q)
-            return recorded
-    if is_recording():
-        return _forward_op(q)
-    result: Tensor = _NormalizeQuaternion.apply(q)
+    check_tensor("q", q)
+    if is_plain(q) and not (torch.is_grad_enabled() and q.requires_grad):
+        return _on_cpu(q)
+    result: Tensor = _op(q) if is_recording() else _NormalizeQuaternion.apply(q)
     return result
 
 
 def _gradient(grad: Tensor, q: Tensor) -> Tensor:
     """Return ``B(grad, q)``."""
     if not torch.is_grad_enabled() and is_plain(grad, q):
-        return _backward_rust(grad, q)
-    result: Tensor = _NormalizeQuaternionBackward.apply(grad, q)
-    return result
+        result = _rust.normalize_quaternion_backward(_array(grad), _array(q))
+        return torch.from_numpy(result).to(q.dtype)
+    kind = arithmetic_dtype(q.dtype)
+    wide, g = q.to(kind), grad.to(kind)
+    unit = normalize_quaternion(wide)
+    return ((g - unit * _dot(unit, g)) / _dot(unit, wide)).to(q.dtype)
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(-1, keepdim=True)
 
 
 class _NormalizeQuaternion(Function):
@@ -79,7 +77,7 @@ class _NormalizeQuaternion(Function):
 
     @staticmethod
     def forward(q: Tensor) -> Tensor:
-        return below_autograd(_forward_op, q)
+        return below_autograd(_op, q)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
@@ -98,71 +96,9 @@ class _NormalizeQuaternion(Function):
             return _gradient(of_q, q)
 
     @staticmethod
-    def vmap(info: Any, in_dims: Sequence[int | None], q: Tensor) -> tuple[Tensor, int]:
+    def vmap(info: Any, in_dims: Sequence[int], q: Tensor) -> tuple[Tensor, int]:
         """Treat the batch as one more leading dimension."""
-        return normalize_quaternion(_batch_first(q, in_dims[0], info.batch_size)), 0
-
-
-class _NormalizeQuaternionOnCpu(Function):
-    """`_NormalizeQuaternion` for plain autograd, with less overhead; see `ffpose.ops.spectral`."""
-
-    @staticmethod
-    def forward(ctx: Any, q: Tensor) -> Tensor:
-        ctx.save_for_backward(q)
-        return _forward_rust(q)
-
-    backward = _NormalizeQuaternion.backward
-
-
-class _NormalizeQuaternionBackward(Function):
-    """``B(g, q) = (g - u <u, g>) / ‖q‖``."""
-
-    @staticmethod
-    def forward(grad: Tensor, q: Tensor) -> Tensor:
-        return below_autograd(_backward_op, grad, q)
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs)
-        ctx.save_for_forward(*inputs)
-
-    @staticmethod
-    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
-        grad, q = ctx.saved_tensors
-        for_q = _second(cotangent, grad, q) if ctx.needs_input_grad[1] else None
-        return _gradient(cotangent, q), for_q
-
-    @staticmethod
-    def jvp(ctx: Any, of_grad: Tensor, of_q: Tensor) -> Tensor:
-        grad, q = primals(ctx.saved_tensors)
-        with outer_tangents():
-            return _gradient(of_grad, q) + _second(of_q, grad, q)
-
-    @staticmethod
-    def vmap(
-        info: Any, in_dims: Sequence[int | None], grad: Tensor, q: Tensor
-    ) -> tuple[Tensor, int]:
-        """Treat the batch as one more leading dimension."""
-        grad = _batch_first(grad, in_dims[0], info.batch_size)
-        return _gradient(grad, _batch_first(q, in_dims[1], info.batch_size)), 0
-
-
-def _second(a: Tensor, b: Tensor, q: Tensor) -> Tensor:
-    """Return the second derivative of ``u(q)``, a symmetric trilinear form, in two directions.
-
-    It is ``-(u <a, B(b, q)> + B(a, q) <u, b> + B(b, q) <u, a>) / ‖q‖``.
-    """
-    unit, of_a, of_b = normalize_quaternion(q), _gradient(a, q), _gradient(b, q)
-    return -(unit * _dot(a, of_b) + of_a * _dot(unit, b) + of_b * _dot(unit, a)) / _dot(unit, q)
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    """Return ``<a, b>``, ``(..., 1)``."""
-    return (a * b).sum(-1, keepdim=True)
-
-
-def _batch_first(tensor: Tensor, dim: int | None, size: int) -> Tensor:
-    return tensor.expand(size, *tensor.shape) if dim is None else tensor.movedim(dim, 0)
+        return normalize_quaternion(q.movedim(in_dims[0], 0)), 0
 
 
 # Kernels: Rust on the CPU, torch elsewhere, shapes alone for fake tensors.
@@ -174,83 +110,37 @@ def _check(q: Tensor) -> None:
         raise ValueError(f"q: expected shape (..., 4), got {tuple(q.shape)}")
 
 
-def _check_gradient(grad: Tensor, q: Tensor) -> None:
+def _on_cpu(q: Tensor) -> Tensor:
     _check(q)
-    check_alike("grad", grad, "q", q)
+    return torch.from_numpy(_rust.normalize_quaternion(_array(q))).to(q.dtype)
 
 
-def _forward_rust(q: Tensor) -> Tensor:
-    return to_tensor(_rust.normalize_quaternion(to_array(q)), q.dtype)
+def _array(tensor: Tensor) -> NDArray[Any]:
+    """Return a C-contiguous, aligned array of the arithmetic dtype, copied only if necessary."""
+    if tensor.dtype in HALF_DTYPES:
+        tensor = tensor.float()
+    return np.require(tensor.contiguous().numpy(force=True), requirements="A")
 
 
-def _backward_rust(grad: Tensor, q: Tensor) -> Tensor:
-    result = _rust.normalize_quaternion_backward(to_array(grad), to_array(q))
-    return to_tensor(result, q.dtype)
-
-
-def _forward_cpu(q: Tensor) -> Tensor:
+def _elsewhere(q: Tensor) -> Tensor:
     _check(q)
-    return _forward_rust(q)
-
-
-def _backward_cpu(grad: Tensor, q: Tensor) -> Tensor:
-    _check_gradient(grad, q)
-    return _backward_rust(grad, q)
-
-
-def _forward_elsewhere(q: Tensor) -> Tensor:
-    _check(q)
-    unit, _ = _unit_and_norm(q)
-    return unit.to(q.dtype)
-
-
-def _backward_elsewhere(grad: Tensor, q: Tensor) -> Tensor:
-    _check_gradient(grad, q)
-    unit, norm = _unit_and_norm(q)
-    return ((grad - unit * _dot(unit, grad)) / norm).to(q.dtype).contiguous()
-
-
-def _unit_and_norm(q: Tensor) -> tuple[Tensor, Tensor]:
-    """Return ``q / ‖q‖`` and ``‖q‖ (..., 1)``, contiguous, in the arithmetic dtype."""
     zero = (q == 0).all(-1).flatten()
     if zero.any():
         row = int(zero.nonzero()[0])
         raise ValueError(f"q: expected quaternions other than zero, got zero in row {row}")
-    q = q.to(arithmetic_dtype(q.dtype)).contiguous()
-    largest = q.abs().amax(-1, keepdim=True)  # divided out: no square over- or underflows
-    norm = torch.linalg.vector_norm(q / largest, dim=-1, keepdim=True)
-    return q / largest / norm, largest * norm
+    wide = q.to(arithmetic_dtype(q.dtype)).contiguous()
+    scaled = wide / wide.abs().amax(-1, keepdim=True)  # so that no square over- or underflows
+    unit: Tensor = scaled / torch.linalg.vector_norm(scaled, dim=-1, keepdim=True)
+    return unit.to(q.dtype)
 
 
-def _forward_fake(q: Tensor) -> Tensor:
+def _fake(q: Tensor) -> Tensor:
     _check(q)
     return q.new_empty(q.shape)
 
 
-def _backward_fake(grad: Tensor, q: Tensor) -> Tensor:
-    _check_gradient(grad, q)
-    return q.new_empty(q.shape)
-
-
-def _record_forward(q: Tensor) -> Any:
-    if is_plain(q):
-        return normalize_quaternion(q)
-    _check(q)
-    return _NormalizeQuaternion.apply(q)
-
-
-def _record_backward(grad: Tensor, q: Tensor) -> Any:
-    _check_gradient(grad, q)
-    return _NormalizeQuaternionBackward.apply(grad, q)
-
-
-torch.library.impl(FORWARD, "cpu", _forward_cpu)
-torch.library.impl(FORWARD, "default", _forward_elsewhere)
-torch.library.impl(FORWARD, "Autograd", _record_forward)
-torch.library.register_fake(FORWARD, _forward_fake)
-torch.library.register_vmap(FORWARD, _NormalizeQuaternion.vmap)
-torch.library.impl(BACKWARD, "cpu", _backward_cpu)
-torch.library.impl(BACKWARD, "default", _backward_elsewhere)
-torch.library.impl(BACKWARD, "Autograd", _record_backward)
-torch.library.register_fake(BACKWARD, _backward_fake)
-torch.library.register_vmap(BACKWARD, _NormalizeQuaternionBackward.vmap)
+torch.library.impl(NAME, "cpu", _on_cpu)
+torch.library.impl(NAME, "default", _elsewhere)
+torch.library.impl(NAME, "Autograd", _NormalizeQuaternion.apply)
+torch.library.register_fake(NAME, _fake)
+torch.library.register_vmap(NAME, _NormalizeQuaternion.vmap)

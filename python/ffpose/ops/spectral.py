@@ -35,7 +35,7 @@ from ffpose._internal.torch_internals import (
     transforms_at_work,
 )
 from ffpose.ops.bridge import add, rebatch, unbatch
-from ffpose.ops.layout import Layout, check_filter, check_gradient
+from ffpose.ops.layout import Layout, check_filter
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
     FORWARD,
@@ -46,8 +46,6 @@ from ffpose.ops.spectral_kernels import (
     forward_rust,
     out_op,
 )
-
-Gradients = tuple[Tensor | None, Tensor | None]
 
 
 def spectral_filter(
@@ -108,15 +106,15 @@ def _recorded(function: type[Function], x: Tensor, weight: Tensor, layout: Layou
 
 def _gradients(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, *, need_x: bool, need_weight: bool
-) -> Gradients:
+) -> tuple[Tensor | None, Tensor | None]:
     """Return ``F(grad, weight*)`` and ``C(grad, x)``, with None for one that is not needed."""
     if not (need_x or need_weight):
         return None, None
-    arguments = (grad, x, weight, layout, need_x, need_weight)
     if not torch.is_grad_enabled() and is_plain(grad, x, weight):
-        return backward_rust(*arguments)
-    run = backward_op if is_recording() else _SpectralFilterBackward.apply
-    for_x, for_weight = run(*arguments)
+        run = backward_rust
+    else:
+        run = backward_op if is_recording() else _SpectralFilterBackward.apply
+    for_x, for_weight = run(grad, x, weight, layout, need_x, need_weight)
     return for_x if need_x else None, for_weight if need_weight else None
 
 
@@ -272,15 +270,7 @@ class _SpectralFilterBackward(Function):
 def _record_forward(x: Tensor, weight: Tensor, layout: Layout) -> Any:
     if is_plain(x, weight):
         return spectral_filter(x, weight, layout)
-    check_filter(x, weight, layout)
     return _recorded(_SpectralFilter, x, weight, layout)
-
-
-def _record_backward(
-    grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
-) -> Any:
-    check_gradient(grad, x, weight, layout)
-    return _SpectralFilterBackward.apply(grad, x, weight, layout, need_x, need_weight)
 
 
 def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
@@ -299,6 +289,6 @@ def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor)
 
 torch.library.impl(FORWARD, "Autograd", _record_forward)
 torch.library.impl(FORWARD_OUT, "Autograd", _write_unrecorded)
-torch.library.impl(BACKWARD, "Autograd", _record_backward)
+torch.library.impl(BACKWARD, "Autograd", _SpectralFilterBackward.apply)
 torch.library.register_vmap(FORWARD, _SpectralFilter.vmap)
 torch.library.register_vmap(BACKWARD, _SpectralFilterBackward.vmap)

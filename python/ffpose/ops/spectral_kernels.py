@@ -72,6 +72,11 @@ def _out_cpu(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
     increment_version(out)  # here, as inference mode skips autograd's kernel
 
 
+def _forward_elsewhere(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
+    check_filter(x, weight, layout)
+    return filter_by_fft(x, weight, layout)
+
+
 def _out_elsewhere(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
     check_out(x, out)
     out.copy_(_forward_elsewhere(x, weight, layout))
@@ -84,54 +89,40 @@ def _out_fake(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None
 
 def backward_rust(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
-) -> tuple[Tensor | None, Tensor | None]:
-    """Return both gradients of CPU tensors, with None for one that is not needed."""
+) -> tuple[Tensor, Tensor]:
+    """Return both gradients of CPU tensors, of shape ``(0,)`` where one is not needed."""
     grad, x, weight = grad.contiguous(), x.contiguous(), weight.contiguous()
-    grad_x = torch.empty_like(x) if need_x else None
-    grad_weight = torch.empty_like(weight) if need_weight else None
+    for_x, for_weight = _new_gradients(x, weight, need_x, need_weight)
+    outputs = (for_x if need_x else None, for_weight if need_weight else None)
     try:
-        _rust.filter_tensors_backward(
-            grad, x, weight, grad_x, grad_weight, layout, torch.get_num_threads()
-        )
+        _rust.filter_tensors_backward(grad, x, weight, *outputs, layout, torch.get_num_threads())
     except (TypeError, ValueError) as error:
         check_gradient(grad, x, weight, layout)
         if isinstance(error, TypeError) and x.dtype == torch.float16:
             wide = (grad.float(), x.float(), weight.float())
             for_x, for_weight = backward_rust(*wide, layout, need_x, need_weight)
-            return _narrowed(for_x, x.dtype), _narrowed(for_weight, weight.dtype)
+            return for_x.to(x.dtype), for_weight.to(weight.dtype)
         if not _are_aligned(grad, x, weight):
             copies = (grad.clone(), x.clone(), weight.clone())
             return backward_rust(*copies, layout, need_x, need_weight)
         raise
-    return grad_x, grad_weight
+    return for_x, for_weight
 
 
 def _are_aligned(*tensors: Tensor) -> bool:
     return not any(tensor.data_ptr() % tensor.element_size() for tensor in tensors)
 
 
-def _narrowed(grad: Tensor | None, dtype: torch.dtype) -> Tensor | None:
-    return None if grad is None else grad.to(dtype)
-
-
-def _forward_elsewhere(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-    check_filter(x, weight, layout)
-    return filter_by_fft(x, weight, layout)
+def _new_gradients(
+    x: Tensor, weight: Tensor, need_x: bool, need_weight: bool
+) -> tuple[Tensor, Tensor]:
+    for_x = x.new_empty(x.shape if need_x else 0)
+    return for_x, weight.new_empty(weight.shape if need_weight else 0)
 
 
 def _forward_fake(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
     check_filter(x, weight, layout)
     return x.new_empty(x.shape)
-
-
-def _backward_cpu(
-    grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
-) -> tuple[Tensor, Tensor]:
-    for_x, for_weight = backward_rust(grad, x, weight, layout, need_x, need_weight)
-    return (
-        x.new_empty(0) if for_x is None else for_x,
-        weight.new_empty(0) if for_weight is None else for_weight,
-    )
 
 
 def _backward_elsewhere(
@@ -145,10 +136,7 @@ def _backward_fake(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> tuple[Tensor, Tensor]:
     check_gradient(grad, x, weight, layout)
-    return (
-        x.new_empty(x.shape if need_x else 0),
-        weight.new_empty(weight.shape if need_weight else 0),
-    )
+    return _new_gradients(x, weight, need_x, need_weight)
 
 
 torch.library.impl(FORWARD, "cpu", forward_rust)
@@ -157,6 +145,6 @@ torch.library.register_fake(FORWARD, _forward_fake)
 torch.library.impl(FORWARD_OUT, "cpu", _out_cpu)
 torch.library.impl(FORWARD_OUT, "default", _out_elsewhere)
 torch.library.register_fake(FORWARD_OUT, _out_fake)
-torch.library.impl(BACKWARD, "cpu", _backward_cpu)
+torch.library.impl(BACKWARD, "cpu", backward_rust)
 torch.library.impl(BACKWARD, "default", _backward_elsewhere)
 torch.library.register_fake(BACKWARD, _backward_fake)

@@ -36,14 +36,13 @@ from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
 from ffpose.models import PolarPose
 from ffpose.models.second_look import in_front, offset_of
-from ffpose.models.virtual_camera import (
-    VirtualCamera,
-    sample,
-    source_pixels,
+from ffpose.models.virtual_camera import VirtualCamera, source_pixels
+from ffpose.nn.rotations import (
+    quaternion_product,
+    quaternion_to_matrix,
     toward,
     turned_about_axis,
 )
-from ffpose.nn.rotations import quaternion_product, quaternion_to_matrix
 from ffpose.render.shading.sensor import through_jpeg
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
@@ -386,7 +385,7 @@ class PatchBatches:
         On a CPU only the part of each window that is seen is varied, a third of it in the mean.
         """
         if self.together:
-            return sample(self._varied(_images(windows), generator), pixels)
+            return sample_planes(self._varied(_images(windows), generator), *pixels.unbind(-1))
         seen = []
         for window, places in zip(windows, pixels, strict=True):
             (left, right), (top, bottom) = (
@@ -394,14 +393,16 @@ class PatchBatches:
             )
             part = _images(window[None, top:bottom, left:right])
             image = self.photometry.one(part, generator)
-            seen.append(sample(image, places[None] - torch.tensor([left, top])))
+            within = places[None] - torch.tensor([left, top])
+            seen.append(sample_planes(image, *within.unbind(-1)))
         return torch.cat(seen)
 
     def _clutter(self, count: int, view: VirtualCamera, generator: torch.Generator) -> Tensor:
         """Return views ``(count, 3, h, w)`` of images that are no scenes."""
         pictures = 255 * clutter(count, (view.width, view.width), generator)
-        pixels = view.image_plane().permute(1, 2, 0).float() + view.width / 2
-        return sample(self._varied(pictures, generator), pixels.expand(count, *pixels.shape))
+        u, v = view.image_plane().float() + view.width / 2
+        shape = (count, *u.shape)
+        return sample_planes(self._varied(pictures, generator), u.expand(shape), v.expand(shape))
 
     def _coordinates(
         self, stored: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
