@@ -49,7 +49,7 @@ def test_the_input_is_that_of_python_to_the_bit(run, folder, tmp_path, mode, int
 
 
 def numbered(data):
-    """A JPEG file of components R, G, B, whose names are 1, 2, 3 as of YCbCr: Adobe's marker tells."""
+    """Return a JPEG file of R, G, B with the names 1, 2, 3 of YCbCr; Adobe's marker tells."""
     header, scan = data.index(b"\xff\xc0") + 10, data.index(b"\xff\xda") + 5
     changed = bytearray(data)
     changed[header : header + 7 : 3] = changed[scan : scan + 5 : 2] = b"\1\2\3"
