@@ -248,6 +248,22 @@ def test_the_baseline_is_of_the_set_or_the_training_or_the_images_themselves(ima
     assert themselves.baseline_of == "the images themselves"
 
 
+def test_a_training_split_that_cannot_be_read_is_told(weights, image_set, tmp_path, caplog):
+    """The constant pose is then another's; an absent split is nothing to tell."""
+    root = shutil.copytree(image_set, tmp_path / "broken")
+    labels = root / "train_poses_gt.csv"
+    header, first, *others = labels.read_text().splitlines()
+    labels.write_text("\n".join([header, "nan," + first.partition(",")[2], *others]))
+    assert evaluate(weights, "urso", root).baseline_of == "the images themselves"
+    (told,) = caplog.messages
+    assert told.startswith("the baseline is not of the split train, which cannot be read: ")
+    assert f"{labels}:2: " in told
+    caplog.clear()
+    (root / "train_images.csv").unlink()
+    assert evaluate(weights, "urso", root).baseline_of == "the images themselves"
+    assert not caplog.messages
+
+
 def test_the_baseline_comes_from_the_training_split(evaluation, image_set):
     with (image_set / "train_poses_gt.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -496,8 +512,11 @@ def test_what_a_network_says_of_its_errors_is_kept_image_by_image(
 def test_empty_images_need_a_folder_and_a_network_that_knows(weights, image_set, tmp_path):
     with pytest.raises(FileNotFoundError, match="empty: expected PNG, JPEG or PGM files in"):
         evaluate(weights, "urso", image_set, empty=tmp_path)
+    root = shutil.copytree(image_set, tmp_path / "set")
+    last = (root / "test_images.csv").read_text().split()[-1]
+    (root / last).write_bytes(b"")  # it is told before the images are posed
     with pytest.raises(ValueError, match="empty: expected weights that predict whether"):
-        evaluate(weights, "urso", image_set, empty=next(image_set.rglob("*.png")).parent)
+        evaluate(weights, "urso", root, empty=next(image_set.rglob("*.png")).parent)
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from ffpose.errors import expect
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.geometry import FloatArray
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
 LEVELS = (0.5, 0.9, 0.99)
 """Confidence levels whose coverage is reported."""
@@ -130,27 +131,15 @@ def mixture_probability(
     return np.asarray(np.minimum((p * region_probability(reach, nu)).sum(axis=1), 1.0))
 
 
-class OtherMode(NamedTuple):
-    """A second mode of attitudes.
-
-    Attributes:
-        orientation: ``(N, 4)``.
-        truth: True attitudes ``(N, 4)``, of those of one look the nearest to ``orientation``.
-        probabilities: Of the predicted attitude and of this one ``(N, 2)``.
-    """
-
-    orientation: FloatArray
-    truth: FloatArray
-    probabilities: FloatArray
-
-
 def truth_regions(
     predicted: FloatArray,
     truth: FloatArray,
     translation_covariance: ArrayLike,
     rotation_covariance: ArrayLike,
     degrees_of_freedom: tuple[float, float] | None = None,
-    other: OtherMode | None = None,
+    alternative: FloatArray | None = None,
+    probabilities: ArrayLike | None = None,
+    symmetry: SymmetryGroup = IDENTITY,
 ) -> dict[str, FloatArray]:
     """Return the `region_probability` ``(N,)`` of each truth, for translation and for rotation.
 
@@ -161,23 +150,24 @@ def truth_regions(
         rotation_covariance: ``(N, 3, 3)``, rad², camera frame, of ``r`` with ``R_true = exp([r]x)
             R_predicted``.
         degrees_of_freedom: Of the t distributions of both errors; None for Gaussian errors.
-        other: A second mode of the attitude, whose errors have the same covariance: regions are of
-            both (`mixture_probability`).
+        alternative: Second most likely attitudes ``(N, 4)``, whose errors, to the true ones of the
+            same look nearest to them, have the same covariance: regions are of both modes
+            (`mixture_probability`).
+        probabilities: Of the predicted attitude and of ``alternative`` ``(N, 2)``; None without.
+        symmetry: What leaves the look as it is.
     """
     of_translation, of_rotation = degrees_of_freedom or (None, None)
-    moved, turned = (
-        truth[:, :3] - predicted[:, :3],
-        rotation_error_vector(predicted[:, 3:], truth[:, 3:]),
-    )
-    d2 = squared_mahalanobis(moved, translation_covariance)
-    angular = squared_mahalanobis(turned, rotation_covariance)
-    if other is None:
-        rotation = region_probability(angular, of_rotation)
+    moved, q = truth[:, :3] - predicted[:, :3], truth[:, 3:]
+    translation = squared_mahalanobis(moved, translation_covariance)
+    turned = rotation_error_vector(predicted[:, 3:], q)
+    rotation = squared_mahalanobis(turned, rotation_covariance)
+    if alternative is None or probabilities is None:
+        regions = region_probability(rotation, of_rotation)
     else:
-        turned = rotation_error_vector(other.orientation, other.truth)
-        both = np.stack([angular, squared_mahalanobis(turned, rotation_covariance)], axis=1)
-        rotation = mixture_probability(both, other.probabilities, of_rotation)
-    return {"translation": region_probability(d2, of_translation), "rotation": rotation}
+        turned = rotation_error_vector(alternative, symmetry.nearest(alternative, q))
+        both = np.stack([rotation, squared_mahalanobis(turned, rotation_covariance)], axis=1)
+        regions = mixture_probability(both, probabilities, of_rotation)
+    return {"translation": region_probability(translation, of_translation), "rotation": regions}
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:

@@ -8,13 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.evaluation.calibration import (
-    OtherMode,
-    auroc,
-    coverages,
-    flag_rates,
-    truth_regions,
-)
+from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_regions
 from ffpose.evaluation.confusion import LARGE_DEG
 from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
@@ -78,18 +72,15 @@ def _trust(answers: Answers, threshold: float | None, symmetry: SymmetryGroup) -
     found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
     second = [u.alternative for u in said if u.alternative is not None]
-    other = None
-    if len(second) == len(said):
-        alternative = np.stack(second)
-        nearest = symmetry.nearest(alternative, truth[:, 3:])
-        other = OtherMode(alternative, nearest, np.array([u.probabilities for u in said]))
     regions = truth_regions(
         found,
         truth,
         np.stack([u.translation_covariance for u in said]),
         np.stack([u.rotation_covariance for u in said]),
         said[0].degrees_of_freedom,
-        other,
+        np.stack(second) if second else None,
+        [u.probabilities for u in said],
+        symmetry,
     )
     result: dict[str, Any] = {name: coverages(each) for name, each in regions.items()}
     pairs = zip(answers.found, said, strict=True)

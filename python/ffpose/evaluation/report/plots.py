@@ -189,7 +189,8 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
     truth = dataset.to_pose(evaluation.truth[index])  # of one look's, the nearest
     length = evaluation.axis_m
     image = draw_axes(image, truth, camera, length, TRUTH_COLORS, wide)
-    return draw_axes(image, evaluation.pose(index), camera, length, width=max(2, wide // 3))
+    found = dataset.to_pose(evaluation.predicted[index])
+    return draw_axes(image, found, camera, length, width=max(2, wide // 3))
 
 
 def caption(evaluation: Evaluation, index: int) -> str:
