@@ -193,7 +193,10 @@ def measure(
         **({"symmetry": str(symmetry)} if len(symmetry) > 1 else {}),
     }
     if out is not None:
-        _write(document, out)
+        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / "card.md", format_card(document))
+        write_text(out / "card.json", text)  # the last: where it is, all is done
     return document
 
 
@@ -203,13 +206,6 @@ def _parameters(scene: Scene) -> dict[str, Any] | None:
         return None
     parameters: dict[str, Any] = json.loads(json.dumps(scene.parameters()))
     return parameters
-
-
-def _write(document: dict[str, Any], out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    write_text(out / "card.json", text)
-    write_text(out / "card.md", format_card(document))
 
 
 def _plan(

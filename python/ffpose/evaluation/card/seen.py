@@ -38,23 +38,15 @@ class Seen(NamedTuple):
 
 
 def trainings(recipe: Recipe | None) -> list[Recipe | None]:
-    """Return the recipes of the whole chain, the last training first; None for an unknown one."""
-    found: list[Recipe | None] = []
-    here = _known(recipe)
-    while here is not None:
-        found.append(here)
-        init = here.get("init")
-        if init is None:
-            return found
-        here = _known(init["recipe"])
-    return [*found, None]
+    """Return the recipes of the whole chain, the last training first; None for an unknown one.
 
-
-def _known(recipe: Recipe | None) -> Recipe | None:
-    """Return a recipe, or None for one of another program, which says nothing of these images."""
-    if recipe is None or not {"data", "views"} <= recipe.keys():
-        return None
-    return recipe if recipe.get("model") in PRESETS else None
+    A recipe of another program, which says nothing of these images, is unknown too.
+    """
+    known = recipe is not None and {"data", "views"} <= recipe.keys()
+    if recipe is None or not known or recipe.get("model") not in PRESETS:
+        return [None]
+    init = recipe.get("init")
+    return [recipe, *(trainings(init["recipe"]) if init else [])]
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
@@ -63,10 +55,10 @@ def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | N
     ``own`` is the set that the variation is of, which none of `SCENES` may be.
     """
     sets = SCENES if own is None else {own.name: own} | SCENES
-    craft, recipe = variation.scene.craft, _known(recipe)
-    if recipe is None or craft in _crafts(recipe, sets):
+    craft, (last, *before) = variation.scene.craft, trainings(recipe)
+    if last is None or craft in _crafts(last, sets):
         return _over_all(recipe, lambda each: _had(each, variation, sets))
-    other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]
+    other = _over_all(recipe, _other_spacecraft)
     if any(each is not None and craft in _crafts(each, sets) for each in before):
         return Seen("partly", f"{other.how}, and {AS_OBJECT}" if other.how else AS_OBJECT)
     return other

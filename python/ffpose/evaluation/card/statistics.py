@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_regions
+from ffpose.evaluation.calibration import coverages, summarize_flag, truth_regions
 from ffpose.evaluation.confusion import LARGE_DEG
 from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
@@ -111,15 +111,10 @@ def refuse(
         [pose.uncertainty.in_view for pose in poses if pose.uncertainty is not None]
         for poses in (with_object, without)
     )
-    result = {
-        "images": len(negative),
-        "median_in_view": float(np.median(negative)),
-        "auroc": auroc(positive, negative),
-    }
-    if threshold is not None:
-        rates = flag_rates(positive, negative, threshold)
-        result["false_alarm_rate"], result["miss_rate"] = rates.false_alarm_rate, rates.miss_rate
-    return result
+    flag = summarize_flag(positive, negative, threshold)
+    flag.pop("threshold", None)
+    median = float(np.median(negative))
+    return {"images": len(negative), "median_in_view": median, **flag}
 
 
 def _vectors(poses: Sequence[Pose]) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -47,34 +46,26 @@ DISTRIBUTIONS = (
 """Figures of the errors, with their alternative texts."""
 
 
-@dataclass(frozen=True)
-class Report:
-    """Contents of a report page.
+def write_report(
+    path: Path,
+    evaluation: Evaluation,
+    *,
+    title: str,
+    subtitle: str,
+    history: Sequence[Mapping[str, float | str]],
+    facts: Mapping[str, str],
+    command: str,
+) -> None:
+    """Write the report of an evaluation as one self-contained HTML file.
 
     ``history`` are rows of ``results.csv``, none without training; ``facts`` stand at the end, and
     ``command`` reproduces the report.
     """
-
-    title: str
-    subtitle: str
-    evaluation: Evaluation
-    history: Sequence[Mapping[str, float | str]]
-    facts: Mapping[str, str]
-    command: str
-
-
-def write_report(report: Report, path: Path) -> None:
-    """Write ``report`` as one self-contained HTML file."""
-    template = (
-        resources.files("ffpose.evaluation.report")
-        .joinpath("page.html")
-        .read_text(encoding="utf-8")
-    )
-    evaluation = report.evaluation
+    template = resources.files("ffpose.evaluation.report").joinpath("page.html")
     summary = evaluation.summary()
-    page = Template(template).substitute(
-        title=html.escape(report.title),
-        subtitle=html.escape(report.subtitle),
+    page = Template(template.read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        subtitle=html.escape(subtitle),
         headline=headline(summary),
         figures=figures_table(summary),
         baseline=html.escape(summary["mean_pose_baseline"]["of"]),
@@ -83,15 +74,15 @@ def write_report(report: Report, path: Path) -> None:
         conditions=conditions_table(summary),
         uncertainty=_uncertainty(evaluation, summary),
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
-        training=_training(report.history),
+        training=_training(history),
         distributions="".join(
             embedded(draw(evaluation), text, format="svg") for draw, text in DISTRIBUTIONS
         ),
         facts="".join(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-            for name, value in report.facts.items()
+            for name, value in facts.items()
         ),
-        command=html.escape(report.command),
+        command=html.escape(command),
     )
     write_text(path, page)
 
