@@ -93,8 +93,8 @@ def region_probability(
         raise ValueError("squared distance: expected finite numbers of at least 0")
     if degrees_of_freedom is not None:
         return _t_probability(x, degrees_of_freedom)
-    erf = np.array([math.erf(value) for value in np.sqrt(x / 2).ravel()]).reshape(x.shape)
-    return np.asarray(erf - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
+    erf = np.vectorize(math.erf, [np.float64])
+    return np.asarray(erf(np.sqrt(x / 2)) - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
 
 
 def _t_probability(x: FloatArray, nu: float) -> FloatArray:

@@ -384,7 +384,9 @@ def _baseline(
         except FileNotFoundError:
             pass  # its labels are elsewhere
         except DataError as error:
-            logger.warning("the baseline is not of the split train, which cannot be read: %s", error)
+            logger.warning(
+                "the baseline is not of the split train, as it cannot be read: %s", error
+            )
     if isinstance(metadata, WeightsMetadata) and metadata.mean_pose is not None:
         return metadata.mean_pose, "the weights' training"
     return mean_pose(dataset.poses), "the images themselves"
