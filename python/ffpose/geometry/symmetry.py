@@ -119,14 +119,14 @@ class SymmetryGroup:
         return "; ".join(map(str, self.axes)) or "none"
 
     def nearest(self, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        """Return the attitudes ``q g`` of the looks of ``q (N, 4)`` that are nearest to ``q_hat``.
+        """Return the attitudes ``q g`` of the looks of ``q (..., 4)`` nearest to ``q_hat``.
 
-        ``q_hat`` are quaternions ``(N, 4)`` of any nonzero norm, ``q`` unit ones.
+        ``q_hat`` are quaternions ``(..., 4)`` of any nonzero norm, ``q`` unit ones.
         """
         if len(self) == 1:
             return q
         between = multiply(conjugate(q), q_hat)
-        chosen = np.abs(between @ self.rotations.T).argmax(axis=1)
+        chosen = np.abs(between @ self.rotations.T).argmax(axis=-1)
         return multiply(q, self.rotations[chosen])
 
     def folded(self, predicted: FloatArray, truth: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTIT
         one, pose = each.step.estimate, each.frame.pose
         nis[row] = np.nan if each.step.nis is None else each.step.nis
         if pose is not None and each.alone is not None and not each.alone.flagged:
-            nearest = symmetry.nearest(each.alone.q[None], pose.q[None])[0]
+            nearest = symmetry.nearest(each.alone.q, pose.q)
             turn = rotation_vector(multiply(conjugate(each.alone.q), nearest))
             alone[row] = np.linalg.norm(pose.t - each.alone.t), np.degrees(np.linalg.norm(turn))
         place = places.get(row)
@@ -156,14 +156,10 @@ class _Compared:
         if one is None or pose is None:
             return None
         if self._chosen is None:
-            self._chosen = multiply(conjugate(pose.q), self._nearest(self._symmetry, one.q, pose.q))
-        q = self._nearest(self._spins, one.q, multiply(pose.q, self._chosen))
+            self._chosen = multiply(conjugate(pose.q), self._symmetry.nearest(one.q, pose.q))
+        q = self._spins.nearest(one.q, multiply(pose.q, self._chosen))
         turned = w @ rotation_matrix(multiply(conjugate(pose.q), q))
         return q, turned + self._axis * (self._axis @ (np.radians(one.w) - turned))
-
-    @staticmethod
-    def _nearest(group: SymmetryGroup, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        return np.asarray(group.nearest(q_hat[None], q[None])[0])
 
 
 def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from PIL import Image
+from rich.console import Console
+from rich.progress import track
 
 from ffpose import __version__
 from ffpose._internal.files import read_json, sha256, write_text
@@ -157,8 +159,10 @@ def measure(
     if second_renderer:
         require("mitsuba", "mitsuba")
     scene = find_scene(scene)
-    parameters = _parameters(scene)
-    if parameters is None:
+    built_in = SCENES.get(scene.name) == scene
+    # What tells a set from others of its name, as JSON gives it back.
+    parameters = None if built_in else json.loads(json.dumps(scene.parameters()))
+    if built_in:
         scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     identity = {
         "sha256": sha256(find_source(weights).path),
@@ -181,8 +185,9 @@ def measure(
     plan = _plan(scene, metadata, second_renderer, count, size, seed, workers, keep)
     began = time.perf_counter()
     symmetry = metadata.symmetry
-    shown = answer(estimator, _with_bar(plan, show=progress))
-    answers = {name: folded(each, symmetry) for name, each in shown.items()}
+    total, screen = plan.count * len(plan.about), Console(stderr=True)
+    shown = track(plan.show(), "images", total, console=screen, disable=not progress)
+    answers = {name: folded(each, symmetry) for name, each in answer(estimator, shown).items()}
     document = {
         "weights": str(weights),
         **{name: value for name, value in identity.items() if value is not None},
@@ -200,14 +205,6 @@ def measure(
     return document
 
 
-def _parameters(scene: Scene) -> dict[str, Any] | None:
-    """Return what tells a set from others of its name, as JSON has it; None for a built-in one."""
-    if SCENES.get(scene.name) == scene:
-        return None
-    parameters: dict[str, Any] = json.loads(json.dumps(scene.parameters()))
-    return parameters
-
-
 def _plan(
     scene: Scene,
     metadata: WeightsMetadata | ModelMetadata,
@@ -221,16 +218,6 @@ def _plan(
     if not looks_twice(config):
         return Plan(vary(scene.distance_m[1]), [], [], *settings)
     return Plan(vary(config.distance_m[1]), without_object(scene), list(PICTURES), *settings)
-
-
-def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
-    if not show:
-        return plan.show()
-    progress, console = require("rich.progress", "pose"), require("rich.console", "pose")
-    total = plan.count * len(plan.about)
-    screen = console.Console(stderr=True)
-    bar: Iterable[Shown] = progress.track(plan.show(), "images", total, console=screen)
-    return bar
 
 
 def answer(estimator: PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:

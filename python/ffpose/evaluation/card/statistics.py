@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +24,7 @@ class Answers(NamedTuple):
 
     def of(self, rows: NDArray[np.bool_]) -> Answers:
         """Select the images of a mask ``rows (N,)``."""
-        places = np.flatnonzero(rows).tolist()
-        return Answers([self.found[i] for i in places], [self.truth[i] for i in places])
+        return Answers(*(list(compress(poses, rows)) for poses in self))
 
     @property
     def uncertainties(self) -> list[PoseUncertainty]:

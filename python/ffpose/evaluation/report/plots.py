@@ -105,10 +105,7 @@ def errors_by_view(evaluation: Evaluation) -> Figure:
     longitude = np.arctan2(seen_from[:, 1], seen_from[:, 0])
     height = np.clip(seen_from[:, 2], -1, 1)
     edges = np.linspace(-np.pi, np.pi, MAP_CELLS[1] + 1), np.linspace(-1, 1, MAP_CELLS[0] + 1)
-    column, row = (
-        np.clip(np.searchsorted(each, values, side="right") - 1, 0, len(each) - 2)
-        for each, values in zip(edges, (longitude, height), strict=True)
-    )
+    column, row = np.digitize(longitude, edges[0][1:-1]), np.digitize(height, edges[1][1:-1])
     medians = np.full(MAP_CELLS, np.nan)
     for cell in {*zip(row.tolist(), column.tolist(), strict=True)}:
         medians[cell] = np.median(errors[(row == cell[0]) & (column == cell[1])])
@@ -191,7 +188,7 @@ def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) ->
     """Draw predictions on their images, with their errors."""
     rows = -(-len(indices) // columns)
     figure = new_figure(3.0 * columns, 2.5 * rows)
-    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid:
         axes.set_axis_off()
     for axes, index in zip(grid, indices, strict=False):
