@@ -1,9 +1,9 @@
 """Measurements for a model card: weights under the conditions of their training and others.
 
 Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
-through `ffpose.load` like any other. Where errors grow, the predicted uncertainty
-should grow, and images that do not show the object should be flagged; so coverage and flag rates
-are reported with the errors. Rendering needs the extra `render`.
+through `ffpose.load` like any other. Where errors grow, the predicted uncertainty should grow, and
+images that do not show the object should be flagged; so coverage and flag rates are reported with
+the errors. Rendering needs the extra `render`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -40,12 +40,11 @@ from ffpose.inference.load import load
 from ffpose.inference.source import find_source
 from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.render import SCENES, Scene, find_scene
-from ffpose.render.renderer import camera_of
+from ffpose.render import SCENES, Scene, find_scene, label
+from ffpose.render.renderer import camera_of, situation
+from ffpose.render.sampler import is_low
 from ffpose.render.scene import ALL_ATTITUDES
-
-if TYPE_CHECKING:
-    from ffpose.render.variations import Variation
+from ffpose.render.variations import Variation, render_variations, variations, without_object
 
 BATCH = 16
 
@@ -94,8 +93,6 @@ class Plan:
 
     def show(self) -> Iterator[Shown]:
         """Yield the images; those of one condition are in order, interleaved with others."""
-        from ffpose.render.variations import render_variations
-
         scenes = (*self.with_object, *self.without)
         frames = render_variations(
             scenes, self.seed, self.count, self.size, self.workers, self.keep
@@ -212,8 +209,6 @@ def _plan(
     *settings: Any,
 ) -> Plan:
     """Plan the images for a network; only one with a second look is tested for the flag."""
-    from ffpose.render.variations import variations, without_object
-
     config, vary = metadata.config, partial(variations, scene, second_renderer=second_renderer)
     if not looks_twice(config):
         return Plan(vary(scene.distance_m[1]), [], [], *settings)
@@ -279,9 +274,6 @@ def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str,
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
     """Split the scenes as trained into those in sunlight, also over dark ground, and in eclipse."""
-    from ffpose.render.renderer import situation
-    from ffpose.render.sampler import is_low
-
     around = [situation(plan.trained.scene, plan.seed, i).around for i in range(plan.count)]
     dark = np.array([each.eclipsed for each in around])
     low = np.array([is_low(each.sun, each.nadir) for each in around])
@@ -294,7 +286,5 @@ def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
 
 
 def _mean_pose(scene: Scene) -> Pose:
-    from ffpose.render import label
-
     labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
     return Pose.from_vector(mean_pose(np.stack(labels)))

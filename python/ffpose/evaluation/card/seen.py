@@ -7,18 +7,16 @@ is akin, is "partly" seen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, astuple, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from ffpose.config import PRESETS, looks_twice
 from ffpose.imaging.transforms import Augmentation
 from ffpose.render.scene import ALL_ATTITUDES, SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
+from ffpose.render.variations import Variation
 from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
-
-if TYPE_CHECKING:
-    from ffpose.render.variations import Variation
 
 Recipe = Mapping[str, Any]
 Answer = Literal["yes", "partly", "no", "unknown"]
@@ -70,22 +68,20 @@ def picture_seen(recipe: Recipe | None, kind: str) -> Seen:
     def had(each: Recipe) -> Seen:
         if kind == "clutter" or each["views"]["empty"] == 0:
             return Seen("no")
-        return (
-            Seen("partly", "gradients, blocks, bars and noise") if kind == "charts" else Seen("yes")
-        )
+        akin = Seen("partly", "gradients, blocks, bars and noise")
+        return akin if kind == "charts" else Seen("yes")
 
     return _over_all(recipe, had)
 
 
-def _over_all(recipe: Recipe | None, had: Any) -> Seen:
+def _over_all(recipe: Recipe | None, had: Callable[[Recipe], Seen]) -> Seen:
     """Return what the last training had, or else what those before it had."""
-    answers = [Seen("unknown") if each is None else had(each) for each in trainings(recipe)]
-    last, *before = answers
-    if last.answer in ("yes", "partly", "unknown"):
+    last, *before = (Seen("unknown") if each is None else had(each) for each in trainings(recipe))
+    if last.answer != "no":
         return last
     if any(each.answer == "yes" for each in before):
         return Seen("partly", BEFORE)
-    return next((each for each in before if each.answer in ("partly", "unknown")), last)
+    return next((each for each in before if each.answer != "no"), last)
 
 
 def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:
