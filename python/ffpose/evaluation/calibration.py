@@ -98,7 +98,6 @@ def region_probability(
 
 
 def _t_probability(x: FloatArray, nu: float) -> FloatArray:
-    """Return `region_probability` for a t distribution."""
     most = np.arctan(np.sqrt(x / (nu - 2)))
     angles = most[..., None] / 2 * (NODES + 1)
     integral = (np.sin(angles) ** 2 * np.cos(angles) ** (nu - 1)) @ WEIGHTS * most / 2
@@ -180,8 +179,7 @@ def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
         ValueError: There are no truths.
     """
     p = np.asarray(probability, np.float64)
-    if p.size == 0:
-        raise ValueError("coverage: expected at least one truth, got none")
+    expect(len(p) > 0, "coverage", "at least one truth", len(p))
     return np.asarray((p[:, None] <= np.asarray(levels)).mean(axis=0))
 
 

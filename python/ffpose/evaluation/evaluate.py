@@ -46,7 +46,7 @@ from ffpose.evaluation.calibration import (
     truth_regions,
 )
 from ffpose.evaluation.confusion import LARGE_DEG, most_confused
-from ffpose.evaluation.metrics import PoseErrors, median_intervals, pose_errors, summarized
+from ffpose.evaluation.metrics import PoseErrors, error_statistics, pose_errors, summarized
 from ffpose.evaluation.significance import circular_correlation, correlation
 from ffpose.geometry import Camera, DistortedCamera, FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
@@ -201,12 +201,12 @@ class Evaluation:
         uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
-            **_told(self.errors),
+            **error_statistics(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
                 "of": self.baseline_of,
-                **_told(self.baseline_errors),
+                **error_statistics(self.baseline_errors),
                 "confusion": self._confusion(self._constant),
             },
             **self._modulo_others(),
@@ -235,14 +235,14 @@ class Evaluation:
         """Return the rotation errors regardless of the symmetry, and modulo each of `unfolded`."""
         result: dict[str, Any] = {}
         if len(self.symmetry) > 1:
-            plain = _rotation_figures(self._errors(self.predicted, IDENTITY))
+            plain = _rotation_metrics(self._errors(self.predicted, IDENTITY))
             result["without_symmetry"] = {"axes": self.symmetry.to_json(), **plain}
         if self.unfolded:
             result["modulo_unfolded"] = [
                 {
                     "axes": group.to_json(),
-                    **_rotation_figures(self._errors(self.predicted, group)),
-                    "mean_pose_baseline": _rotation_figures(self._errors(self._constant, group)),
+                    **_rotation_metrics(self._errors(self.predicted, group)),
+                    "mean_pose_baseline": _rotation_metrics(self._errors(self._constant, group)),
                 }
                 for group in self.unfolded
             ]
@@ -258,7 +258,7 @@ class Evaluation:
             "in_plane_known": errors._replace(rotation_deg=across, in_plane_deg=none),
             "out_of_plane_known": errors._replace(rotation_deg=inside, out_of_plane_deg=none),
         }
-        return {name: _rotation_figures(each) for name, each in known.items()}
+        return {name: _rotation_metrics(each) for name, each in known.items()}
 
     def _correlations(self) -> dict[str, float | None]:
         (roll_hat, pitch_hat, yaw_hat), (roll, pitch, yaw) = (angles.T for angles in self.angles)
@@ -403,22 +403,9 @@ def _decoded(path: Path, white: float | str | None, lens: DistortedCamera | None
     return undistort(picture, lens)
 
 
-def _figures(errors: PoseErrors) -> dict[str, float]:
-    """Return means, medians and scores of errors, as `PoseError`."""
-    return {name: float(value) for name, value in summarized(errors).items()}
-
-
-def _rotation_figures(errors: PoseErrors) -> dict[str, float]:
-    return {name: value for name, value in _figures(errors).items() if name.endswith("_deg")}
-
-
-def _told(errors: PoseErrors) -> dict[str, Any]:
-    """Return what is told of the model's errors and of the constant pose's alike."""
-    return {
-        **_figures(errors),
-        "share_over_30_deg": float((errors.rotation_deg > LARGE_DEG).float().mean()),
-        "median_intervals_95": median_intervals(errors),
-    }
+def _rotation_metrics(errors: PoseErrors) -> dict[str, float]:
+    """Return means and medians of the rotation errors and their parts."""
+    return {name: float(value) for name, value in summarized(errors).items() if "_deg" in name}
 
 
 def _median_sigma(covariance: FloatArray) -> float:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.evaluation.calibration import coverages, summarize_flag, truth_regions
-from ffpose.evaluation.confusion import LARGE_DEG
-from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
+from ffpose.evaluation.metrics import error_statistics, pose_errors
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
@@ -46,7 +45,7 @@ def summarize(
     """Return the statistics of images that show the object, answers `folded` by ``symmetry``.
 
     ``images``; ``median_`` and ``mean_`` of the errors in `ffpose.evaluation.metrics.SUMMARIZED`,
-    and ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a
+    ``share_over_30_deg``, ``median_intervals_95``; ``percentile_90_rotation_error_deg``. For a
     network that predicts its uncertainty also coverages of ``translation`` and ``rotation``,
     ``median_sigma_distance_m``, ``median_sigma_rotation_deg``, ``median_in_view``, and with a
     threshold ``flagged``, the share of images below it.
@@ -57,13 +56,10 @@ def summarize(
     if not answers.truth:
         raise ValueError("answers: expected at least one with the truth, got none")
     errors = pose_errors(*map(_vectors, answers))
-    rotation = errors.rotation_deg.numpy()
     return {
-        "images": len(rotation),
-        **{n: float(v) for n, v in summarized(errors).items() if not n.endswith("score")},
-        "median_intervals_95": median_intervals(errors),
-        "percentile_90_rotation_error_deg": float(np.quantile(rotation, 0.9)),
-        f"share_over_{LARGE_DEG:.0f}_deg": float((rotation > LARGE_DEG).mean()),
+        "images": len(answers.truth),
+        **{n: value for n, value in error_statistics(errors).items() if not n.endswith("score")},
+        "percentile_90_rotation_error_deg": float(np.quantile(errors.rotation_deg.numpy(), 0.9)),
         **(_trust(answers, threshold, symmetry) if answers.uncertainties else {}),
     }
 
