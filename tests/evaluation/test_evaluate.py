@@ -369,6 +369,14 @@ def test_perfect_predictions_have_no_error(evaluation):
     assert perfect["speed_plus_score"] == 0
 
 
+def test_the_share_of_large_errors_has_all_digits_of_float64(evaluation):
+    predicted = evaluation.dataset.poses.copy()
+    off = rotations(predicted[:1]) * Rotation.from_euler("x", 40, degrees=True)
+    predicted[:1, 3:] = off.as_quat(scalar_first=True)
+    found = Evaluation(evaluation.dataset, predicted, evaluation.baseline, 0.0).summary()
+    assert found["share_over_30_deg"] == 1 / 6
+
+
 def test_ranking_goes_from_best_to_worst(evaluation):
     scores = evaluation.errors.esa_score.numpy()[evaluation.ranking]
     assert (np.diff(scores) >= 0).all()
@@ -618,8 +626,8 @@ def test_uncertainty_stands_in_the_files(uncertain, evaluation, tmp_path):
     ("wrong", "message"),
     [
         ({"translation_covariance": np.zeros((6, 3, 3))}, "translation_covariance: .* in row 0"),
-        ({"rotation_covariance": np.ones((5, 3, 3))}, r"expected shape \(6, 3, 3\)"),
-        ({"rotation_covariance": np.tile(np.eye(3), (6, 1, 1))}, "expected both or none, got one"),
+        ({"rotation_covariance": np.ones((5, 3, 3))}, r"rotation_cov.*expected shape \(6, 3, 3\)"),
+        ({"rotation_covariance": None}, "expected both or none, got one"),
         ({"in_view": np.full(6, 1.5)}, "in_view: expected probabilities, got 1.5"),
         ({"in_view": np.ones(5)}, r"in_view: expected shape \(6,\), got \(5,\)"),
         ({"in_view_empty": np.array([])}, r"in_view_empty: expected shape \(M,\)"),
@@ -627,8 +635,10 @@ def test_uncertainty_stands_in_the_files(uncertain, evaluation, tmp_path):
 )
 def test_an_uncertainty_that_is_none_is_refused(evaluation, wrong, message):
     fields = (evaluation.dataset, evaluation.predicted, evaluation.baseline, 0.0)
+    unit = np.tile(np.eye(3), (6, 1, 1))
+    right = {"translation_covariance": unit, "rotation_covariance": unit}
     with pytest.raises(ValueError, match=message):
-        Evaluation(*fields, **wrong)
+        Evaluation(*fields, **(right | wrong)).summary()
 
 
 def test_a_split_of_one_image_is_evaluated(weights, tmp_path):

@@ -36,42 +36,35 @@ ASYMMETRY = 1e-5
 """Tolerated asymmetry of a covariance relative to its largest entry, for float32 rounding."""
 
 
-def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
+def squared_mahalanobis(
+    error: ArrayLike, covariance: ArrayLike, name: str = "covariance"
+) -> FloatArray:
     """Return the squared Mahalanobis distances ``eᵀ C⁻¹ e`` ``(N,)``.
 
     Args:
         error: Errors ``(N, 3)``.
         covariance: Covariances ``(N, 3, 3)`` of the errors.
+        name: What messages call the covariance.
 
     Raises:
-        ValueError: As `check_covariance`, and for errors of another shape or not finite.
+        ValueError: A shape is wrong, a number is not finite, or a covariance is not symmetric and
+            positive definite; its row is named.
     """
     e, c = np.asarray(error, np.float64), np.asarray(covariance, np.float64)
     expect(e.ndim == 2 and e.shape[1] == 3, "error", "shape (N, 3)", e.shape)
-    if not np.isfinite(e).all():
-        raise ValueError("error: expected finite numbers")
-    check_covariance("covariance", c, len(e))
-    return np.asarray((e * np.linalg.solve(c, e[..., None])[..., 0]).sum(axis=1))
-
-
-def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
-    """Check that covariances ``(count, 3, 3)`` are symmetric and positive definite.
-
-    Raises:
-        ValueError: They are not, or not finite; the row is named.
-    """
-    expect(covariance.shape == (count, 3, 3), name, f"shape ({count}, 3, 3)", covariance.shape)
-    if not np.isfinite(covariance).all():
-        raise ValueError(f"{name}: expected finite numbers")
-    largest = np.abs(covariance).max(axis=(1, 2))
-    asymmetry = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
-    least = np.linalg.eigvalsh(covariance)[:, 0]
-    bad = np.flatnonzero((asymmetry > ASYMMETRY * largest) | (least <= 0))
+    expect(c.shape == (len(e), 3, 3), name, f"shape ({len(e)}, 3, 3)", c.shape)
+    for values, of in ((e, "error"), (c, name)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{of}: expected finite numbers")
+    largest = np.abs(c).max(axis=(1, 2))
+    asymmetry = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
+    bad = np.flatnonzero((asymmetry > ASYMMETRY * largest) | (np.linalg.eigvalsh(c)[:, 0] <= 0))
     if len(bad):
-        matrix = covariance[bad[0]].tolist()
         raise ValueError(
-            f"{name}: expected symmetric, positive definite matrices, got {matrix} in row {bad[0]}"
+            f"{name}: expected symmetric, positive definite matrices, got {c[bad[0]].tolist()} in"
+            f" row {bad[0]}"
         )
+    return np.asarray((e * np.linalg.solve(c, e[..., None])[..., 0]).sum(axis=1))
 
 
 def region_probability(
@@ -157,9 +150,9 @@ def truth_regions(
     """
     of_translation, of_rotation = degrees_of_freedom or (None, None)
     moved, q = truth[:, :3] - predicted[:, :3], truth[:, 3:]
-    translation = squared_mahalanobis(moved, translation_covariance)
+    translation = squared_mahalanobis(moved, translation_covariance, "translation_covariance")
     turned = rotation_error_vector(predicted[:, 3:], q)
-    rotation = squared_mahalanobis(turned, rotation_covariance)
+    rotation = squared_mahalanobis(turned, rotation_covariance, "rotation_covariance")
     if alternative is None or probabilities is None:
         regions = region_probability(rotation, of_rotation)
     else:

@@ -5,9 +5,8 @@ The metrics are those of the paper's tables: errors of translation (Eq. 13) and 
 rotation error is also split into in-plane and out-of-plane parts (`ffpose.evaluation.attitude`), as
 a network may learn one and not the other.
 
-The baselines are the mean pose of the set's training split (`ffpose.evaluation.baseline`), or where
-that cannot be read, of the weights' training or of the images themselves, predicted for every
-image, and oracles that know one part of the truth.
+The baselines are a mean pose (`ffpose.evaluation.baseline`), predicted for every image, and oracles
+that know one part of the truth.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ from ffpose.errors import DataError
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
-    check_covariance,
     check_probability,
     summarize_flag,
     summarize_regions,
@@ -79,8 +77,8 @@ class Evaluation:
     ``baseline_of`` says whose mean pose the baseline is.
 
     Raises:
-        ValueError: A covariance is not symmetric and positive definite, a probability is outside
-            0…1, shapes do not match, or there is one covariance alone.
+        ValueError: A probability is outside 0…1, their number does not match, or there is one
+            covariance alone; with the regions, that a covariance is none.
     """
 
     dataset: PoseDataset
@@ -102,9 +100,6 @@ class Evaluation:
     baseline_of: str = "the weights' training"
 
     def __post_init__(self) -> None:
-        for name in ("translation_covariance", "rotation_covariance"):
-            if (covariance := getattr(self, name)) is not None:
-                check_covariance(name, covariance, len(self.dataset))
         if (self.translation_covariance is None) != (self.rotation_covariance is None):
             raise ValueError("covariances: expected both or none, got one")
         for name, count in (("in_view", len(self.dataset)), ("in_view_empty", None)):
