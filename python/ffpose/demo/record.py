@@ -21,13 +21,10 @@ REMEDY = "remove the folder, or write to another with --out"
 
 @dataclass
 class DemoRecord:
-    """The settings of a demo's folder, and the time its images took.
+    """The settings of a demo's folder, and the time that its images took.
 
-    Attributes:
-        settings: Settings of the demo.
-        images_rendered: Number of images rendered by the finished runs.
-        render_seconds: Time that rendering these images took.
-        views_seconds: Time that rendering the training views took; 0 where there are none yet.
+    ``images_rendered`` are those of the finished runs, in ``render_seconds``; ``views_seconds`` is
+    0 where there are no training views yet.
     """
 
     settings: dict[str, Any]

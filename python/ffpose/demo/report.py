@@ -23,15 +23,10 @@ ERRORS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
 class Outcome(NamedTuple):
-    """Result of a demo.
+    """Result of a demo, in the folder ``out``; no training of the shipped weights.
 
-    Attributes:
-        config: Settings of the demo.
-        out: Folder of the demo.
-        evaluation: Predicted poses and labels.
-        trained: The training of the weights; None of the shipped ones.
-        images_rendered: Number of images that the rendering time is for.
-        seconds: Time of the steps render, views, train and evaluate; 0 for skipped steps.
+    ``seconds`` are those of the steps render, for ``images_rendered``, views, train and evaluate; 0
+    of skipped steps.
     """
 
     config: DemoConfig

@@ -87,7 +87,7 @@ def figures_table(summary: Summary) -> str:
 
 def _compared(metrics: Summary, suffix: str = "") -> list[tuple[str, ...]]:
     """Return a row for each of `ROWS` that there is, with the constant pose's beside."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for key, name, unit in ROWS:
         if key in metrics:
             model, baseline = metrics[key], metrics["mean_pose_baseline"][key]
