@@ -53,8 +53,9 @@ def write_report(
         (_consistency(measured), "normalized squared errors against their bounds"),
         (_about_target(followed, measured), "the camera's way in the frame of the target"),
     ]
-    outcomes = Counter(each.step.outcome for each in followed)
-    rows = {**outcomes, **(measured.summary() if known else {})}
+    rows: dict[str, float] = {**Counter(each.step.outcome for each in followed)}
+    if known:
+        rows |= measured.summary()
     table = "".join(
         f"<tr><th>{html.escape(name.replace('_', ' '))}</th><td>{_shown(value)}</td></tr>"
         for name, value in rows.items()
