@@ -120,7 +120,7 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     followed: list[Followed] = []
     try:
-        followed.extend(steps)
+        followed.extend(steps)  # those before an exception stay
     finally:
         if followed:
             write_trajectory(followed, out / TRAJECTORY)

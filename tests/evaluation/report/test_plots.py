@@ -172,10 +172,13 @@ def test_curves_show_each_epoch():
 def test_figures_are_written_as_pictures(evaluation, tmp_path):
     unit = np.tile(np.eye(3), (4, 1, 1))
     told = replace(evaluation, translation_covariance=unit, rotation_covariance=unit)
-    paths = write_evaluation_figures(told, tmp_path)
-    for path in paths:
+    out = tmp_path / "out"
+    out.mkdir()
+    write_evaluation_figures(told, out)
+    for path in out.iterdir():
         with Image.open(path) as image:
             assert image.width > 300
-    assert tmp_path / "reliability.png" in paths
+    names = "error_cdf error_histograms errors_by_distance predicted_angles typical worst"
+    assert {path.stem for path in out.iterdir()} == {*names.split(), "reliability"}
     save_figure(training_curves(history(2)), tmp_path / "curves.svg")
     assert "<svg" in (tmp_path / "curves.svg").read_text()

@@ -201,8 +201,8 @@ def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) ->
     return figure
 
 
-def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
-    """Write all figures of an evaluation to the folder ``out`` and return their paths."""
+def write_evaluation_figures(evaluation: Evaluation, out: Path) -> None:
+    """Write all figures of an evaluation to the folder ``out``."""
     figures: dict[str, Callable[[Evaluation], Figure]] = {
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
@@ -215,7 +215,6 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
         figures["reliability.png"] = reliability_diagram
     for name, draw in figures.items():
         save_figure(draw(evaluation), out / name)
-    return [out / name for name in figures]
 
 
 def _error_panels(
