@@ -77,8 +77,8 @@ class Evaluation:
     ``baseline_of`` says whose mean pose the baseline is.
 
     Raises:
-        ValueError: A probability is outside 0…1, their number does not match, or there is one
-            covariance alone; with the regions, that a covariance is none.
+        ValueError: A probability is outside 0…1, a shape does not match, or there is one covariance
+            alone; by what needs the regions, a covariance is not symmetric and positive definite.
     """
 
     dataset: PoseDataset
@@ -305,10 +305,10 @@ def evaluate(
     ``weights`` are what `ffpose.load` takes; their header defines the preprocessing, and what
     ``decoding`` leaves open. The baseline is the mean pose of the training split of ``root``, where
     that is none of the images; else of the weights' training, else of the images themselves. A
-    warning says why a split that is there cannot be read.
-    With ``reproject`` images of another camera are reprojected into the network's view; ``empty``
-    is a folder of images that do not show the object, for miss rate and AUROC; errors are modulo
-    ``symmetry``, that of the training for None, and told modulo each of ``unfolded`` too.
+    warning says why a split that is there cannot be read. With ``reproject`` images of another
+    camera are reprojected into the network's view; ``empty`` is a folder of images that do not show
+    the object, for miss rate and AUROC; errors are modulo ``symmetry``, that of the training for
+    None, and told modulo each of ``unfolded`` too.
 
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.

@@ -40,11 +40,11 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 
     A recipe of another program, which says nothing of these images, is unknown too.
     """
-    known = recipe is not None and {"data", "views"} <= recipe.keys()
-    if recipe is None or not known or recipe.get("model") not in PRESETS:
-        return [None]
-    init = recipe.get("init")
-    return [recipe, *(trainings(init["recipe"]) if init else [])]
+    match recipe:
+        case {"data": _, "views": _, "model": model, **rest} if model in PRESETS:
+            init = rest.get("init")
+            return [recipe, *(trainings(init["recipe"]) if init else [])]
+    return [None]
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
