@@ -40,11 +40,11 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 
     A recipe of another program, which says nothing of these images, is unknown too.
     """
-    match recipe:
-        case {"data": _, "views": _, "model": model, **rest} if model in PRESETS:
-            init = rest.get("init")
-            return [recipe, *(trainings(init["recipe"]) if init else [])]
-    return [None]
+    if recipe is None or not {"data", "views", "model"} <= recipe.keys():
+        return [None]
+    init = recipe.get("init")
+    rest = trainings(init["recipe"]) if init else []
+    return [recipe, *rest] if recipe["model"] in PRESETS else [None]
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
