@@ -66,7 +66,7 @@ def shelf(tmp_path_factory):
 @pytest.fixture(scope="module")
 def posed(tmp_path_factory):
     out = tmp_path_factory.mktemp("posed")
-    run(out, POSE, quiet=True)
+    run(out, POSE)
     return out
 
 
@@ -75,7 +75,7 @@ def trained(tmp_path_factory):
     out = tmp_path_factory.mktemp("trained")
     with pytest.MonkeyPatch.context() as patch:
         blank_figures(patch)
-        run(out, TRAIN, quiet=True)
+        run(out, TRAIN)
     return out
 
 
@@ -220,7 +220,7 @@ def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
 def test_a_demo_of_other_settings_is_not_mixed_in(posed, change, said):
     before = (posed / "report.json").read_bytes()
     with pytest.raises(ValueError, match=said):
-        run(posed, replace(POSE, **change), quiet=True)
+        run(posed, replace(POSE, **change))
     assert (posed / "report.json").read_bytes() == before
 
 
@@ -228,11 +228,11 @@ def test_a_demo_of_other_settings_is_not_mixed_in(posed, change, said):
 def test_work_of_unknown_settings_is_not_reported(tmp_path, name):
     (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match=rf"got {name}/ without demo\.json"):
-        run(tmp_path, POSE, quiet=True)
+        run(tmp_path, POSE)
 
 
 def test_without_the_weights_nothing_is_rendered(tmp_path, monkeypatch):
     monkeypatch.setattr(zoo, "FOLDER", tmp_path / "none")
     with pytest.raises(FileNotFoundError, match="none is installed by name"):
-        run(tmp_path / "out", POSE, quiet=True)
+        run(tmp_path / "out", POSE)
     assert not (tmp_path / "out").exists()

@@ -11,7 +11,6 @@ from scipy.stats import chi2, f, mannwhitneyu, multivariate_t
 
 from ffpose.evaluation.calibration import (
     CURVE,
-    OtherMode,
     auroc,
     choose_threshold,
     coverage,
@@ -134,8 +133,8 @@ def test_regions_of_two_modes_cover_what_they_say():
         np.concatenate([np.zeros((count, 3)), q], 1) for q in (quaternions[0], true)
     )
     covariances = np.tile(np.eye(3), (count, 1, 1)), np.tile(scale * nu / (nu - 2), (count, 1, 1))
-    other = OtherMode(quaternions[1], true, probabilities)
-    found = truth_regions(predicted, truth, *covariances, (5.0, nu), other)["rotation"]
+    other = quaternions[1], probabilities
+    found = truth_regions(predicted, truth, *covariances, (5.0, nu), *other)["rotation"]
     np.testing.assert_allclose(coverage(found, CURVE), CURVE, atol=0.015)
     alone = truth_regions(predicted, truth, *covariances, (5.0, nu))["rotation"]
     assert coverage(alone, [0.99])[0] < 0.8

@@ -406,7 +406,7 @@ if __name__ == "__main__":  # what renders imports this file
     run._exported = lambda out: True
     run.measure_speed = lambda config, scene: (Speed(9.0, 99.0), "none")
     run.plan_trainings = lambda *_: (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
-    run.write_evaluation_figures = run.write_report = lambda *_: None
+    run.write_evaluation_figures = run.write_report = lambda *_, **__: None
     given = dict(processes=1, test_images=2, card_images=0, symmetry="none")
     config = run.LearnConfig(Path(sys.argv[1]), Path(sys.argv[2]), **given)
     summary = run.learn(config, lambda text: print(text, flush=True))

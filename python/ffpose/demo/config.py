@@ -9,6 +9,7 @@ from typing import Any
 from ffpose._internal.seeds import CHOICES
 from ffpose.models.base import find_device
 from ffpose.render import Scene, find_scene
+from ffpose.render.scene import ALL_ATTITUDES
 from ffpose.training import DataConfig, TrainConfig
 from ffpose.training.config import MUON, PatchAugmentation
 
@@ -22,7 +23,6 @@ class DemoConfig:
     Attributes:
         images: Number of unseen images to render and evaluate.
         size: Width and height of the images.
-        attitude_range_deg: Roll, pitch and yaw lie within plus and minus these angles.
         seed: Seed of the images.
         workers: Number of processes that render, and on a CPU train together.
         train: Use a network trained here from scratch, in about six minutes on two cores after one
@@ -36,7 +36,6 @@ class DemoConfig:
 
     images: int = 200
     size: tuple[int, int] = (512, 384)
-    attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
     seed: int = CHOICES.start
     workers: int = 2
     train: bool = False
@@ -48,8 +47,8 @@ class DemoConfig:
 
     @property
     def scene(self) -> Scene:
-        """Set that the images are rendered from."""
-        return find_scene(SCENE, self.attitude_range_deg)
+        """Set that the images are rendered from, of all attitudes."""
+        return find_scene(SCENE, ALL_ATTITUDES)
 
     @property
     def negatives(self) -> int:
@@ -83,7 +82,6 @@ class DemoConfig:
                 validation=self.validation,
                 calibration=self.calibration,
                 workers=self.workers,
-                attitude_range_deg=self.attitude_range_deg,
             ),
             out=out / "training",
             model="polar",

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from ffpose._internal.figures import jpeg_tag
 from ffpose._internal.files import write_json, write_text
 from ffpose._internal.seeds import CHOICES
 from ffpose.arrays import rotation_error, translation_error
 from ffpose.geometry import Camera, Pose
+from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import TRUTH_COLORS, draw_axes
 from ffpose.inference.load import load
 from ffpose.render import find_scene, label, write_dataset
@@ -72,31 +71,26 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
         "seconds_per_image": seconds,
     }
     assert estimate.camera is not None
-    camera, order = estimate.camera, np.argsort(degrees).tolist()
-    captions = [f"{meters[n]:.2f} m, {degrees[n]:.1f}°" for n in order]
     figures = [
-        _figure(paths[n], found[n], truth[n], camera, caption)
-        for n, caption in zip(order, captions, strict=True)
+        _figure(
+            paths[n], found[n], truth[n], estimate.camera, f"{meters[n]:.2f} m, {degrees[n]:.1f}°"
+        )
+        for n in np.argsort(degrees).tolist()
     ]
-    write_text(out / "report.html", _page(document, figures))
+    subtitle = (
+        f"{images} rendered images of a Soyuz, none of which was trained on, each posed from the "
+        f"image alone in {1e3 * seconds:.0f} ms, decoding included, by the graph that ships with "
+        f"ffpose, without torch. Medians: {document['median_rotation_error_deg']:.1f}° and "
+        f"{document['median_translation_error_m']:.2f} m. True axes are pale and wide, predicted "
+        "ones thin; from the best attitude to the worst."
+    )
+    page = PAGE.format(subtitle=subtitle, figures="\n".join(figures))
+    write_text(out / "report.html", page)
     write_json(out / "report.json", document)
     return document
 
 
-def _page(document: dict[str, Any], figures: Iterable[str]) -> str:
-    subtitle = (
-        f"{document['images']} rendered images of a Soyuz, none of which was trained on, each "
-        f"posed from the image alone in {1e3 * document['seconds_per_image']:.0f} ms, decoding "
-        "included, by the graph that ships with ffpose, without torch. Medians: "
-        f"{document['median_rotation_error_deg']:.1f}° and "
-        f"{document['median_translation_error_m']:.2f} m. True axes are pale and wide, predicted "
-        "ones thin; from the best attitude to the worst."
-    )
-    return PAGE.format(subtitle=subtitle, figures="\n".join(figures))
-
-
 def _figure(path: Path, found: Pose, truth: Pose, camera: Camera, caption: str) -> str:
-    with Image.open(path) as image:
-        drawn = draw_axes(image.convert("RGB"), truth, camera, AXIS_M, TRUTH_COLORS, width=6)
+    drawn = draw_axes(read_rgb(path), truth, camera, AXIS_M, TRUTH_COLORS, width=6)
     picture = jpeg_tag(draw_axes(drawn, found, camera, AXIS_M, width=2), f"{path.stem}: {caption}")
     return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"

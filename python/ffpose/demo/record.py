@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ffpose._internal.files import write_json
+from ffpose._internal.files import read_json, write_json
 from ffpose.errors import DataError
 
 FILE_NAME = "demo.json"
@@ -16,16 +16,15 @@ FILE_NAME = "demo.json"
 FOLDERS = ("images", "views", "training", "evaluation")
 """Folders of a demo whose files are reused on resume."""
 
+REMEDY = "remove the folder, or write to another with --out"
+
 
 @dataclass
 class DemoRecord:
-    """The settings of a demo's folder, and the time its images took.
+    """The settings of a demo's folder, and the time that its images took.
 
-    Attributes:
-        settings: Settings of the demo.
-        images_rendered: Number of images rendered by the finished runs.
-        render_seconds: Time that rendering these images took.
-        views_seconds: Time that rendering the training views took; 0 where there are none yet.
+    ``images_rendered`` are those of the finished runs, in ``render_seconds``; ``views_seconds`` is
+    0 where there are no training views yet.
     """
 
     settings: dict[str, Any]
@@ -49,19 +48,20 @@ class DemoRecord:
                 if (out / name).exists():
                     raise ValueError(
                         f"{out}: expected a new folder or a demo begun there, got {name}/ without "
-                        f"{FILE_NAME}; remove the folder, or write to another with --out"
+                        f"{FILE_NAME}; {REMEDY}"
                     )
             return cls(wanted)
+        found = read_json(path)
         try:
-            record = cls(**json.loads(path.read_text(encoding="utf-8")))
+            record = cls(**found)
             there = dict(record.settings)
-        except (ValueError, TypeError) as error:
-            raise DataError(f"expected the record of a demo: {error}", path) from error
+        except (TypeError, ValueError) as error:
+            raise DataError(f"expected the record of a demo: {error}; {REMEDY}", path) from error
         for name, value in wanted.items():
             if there.get(name) != value:
                 raise ValueError(
                     f"{out}: expected {name} {there.get(name)} as the demo there, got {value}; "
-                    "remove the folder, or write to another with --out"
+                    f"{REMEDY}"
                 )
         return record
 

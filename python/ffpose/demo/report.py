@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +13,8 @@ from ffpose._internal.machine import package_versions
 from ffpose.arrays import instruction_set
 from ffpose.demo.config import DemoConfig
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.evaluation.report.page import Report
-from ffpose.training.checkpoint import Row
+from ffpose.evaluation.report.page import write_report
+from ffpose.training.engine import TrainResult
 
 SHIPPED = "soyuz"
 """The shipped weights that the demo uses."""
@@ -23,38 +22,17 @@ SHIPPED = "soyuz"
 ERRORS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
-class Weights(NamedTuple):
-    """Weights that the demo evaluates.
-
-    Attributes:
-        file: The weights file.
-        history: A row for each epoch trained here; empty for the shipped weights.
-        best_epoch: Number of the epoch whose weights these are.
-        seconds: Time spent in epochs.
-    """
-
-    file: Path
-    history: Sequence[Row] = ()
-    best_epoch: int = 0
-    seconds: float = 0.0
-
-
 class Outcome(NamedTuple):
-    """Result of a demo.
+    """Result of a demo, in the folder ``out``; no training of the shipped weights.
 
-    Attributes:
-        config: Settings of the demo.
-        out: Folder of the demo.
-        weights: Weights that predicted the poses.
-        evaluation: Predicted poses and labels.
-        images_rendered: Number of images that the rendering time is for.
-        seconds: Time of the steps render, views, train and evaluate; 0 for skipped steps.
+    ``seconds`` are those of the steps render, for ``images_rendered``, views, train and evaluate; 0
+    of skipped steps.
     """
 
     config: DemoConfig
     out: Path
-    weights: Weights
     evaluation: Evaluation
+    trained: TrainResult | None
     images_rendered: int
     seconds: dict[str, float]
 
@@ -81,16 +59,15 @@ def command(out: Path, *, train: bool) -> str:
 
 def document(outcome: Outcome) -> dict[str, Any]:
     """Return the contents of ``report.json``; without training its times and epochs are 0."""
-    config, out, weights = outcome.config, outcome.out, outcome.weights
+    config, out, trained = outcome.config, outcome.out, outcome.trained
     summary = outcome.evaluation.summary()
     baseline = summary["mean_pose_baseline"]
     return {
-        "images": config.images,
+        "images": summary["images"],
         "weights": _weights_in_words(config),
-        "train_seconds": weights.seconds,
+        "train_seconds": outcome.seconds["train"],
         "test_images": summary["images"],
-        **{name: summary[name] for name in summary if name not in ("images", "mean_pose_baseline")},
-        "mean_pose_baseline": baseline,
+        **summary,
         "ratio_to_baseline": {
             name: summary[name] / baseline[name] if baseline[name] > 0 else None for name in ERRORS
         },
@@ -98,8 +75,8 @@ def document(outcome: Outcome) -> dict[str, Any]:
         "distance_range_m": list(config.scene.distance_m),
         "images_rendered": outcome.images_rendered,
         "seconds_per_step": outcome.seconds,
-        "epochs": len(weights.history),
-        "best_epoch": weights.best_epoch,
+        "epochs": len(trained.history) if trained else 0,
+        "best_epoch": trained.best_epoch if trained else 0,
         "command": command(out, train=config.train),
         "versions": versions(),
         "files": _files(out),
@@ -116,52 +93,50 @@ def _files(out: Path) -> list[str]:
 
 def _attitudes(config: DemoConfig) -> dict[str, list[float]]:
     names = ("roll", "pitch", "yaw")
-    return {n: [-a, a] for n, a in zip(names, config.attitude_range_deg, strict=True)}
+    limits = config.scene.attitude_range_deg
+    return {n: [-a, a] for n, a in zip(names, limits, strict=True)}
 
 
 def _weights_in_words(config: DemoConfig) -> str:
     return "trained here from random weights" if config.train else f"{SHIPPED}, part of ffpose"
 
 
-def page(outcome: Outcome) -> Report:
-    """Return the contents of ``report.html``."""
-    config, weights = outcome.config, outcome.weights
+def write_page(outcome: Outcome) -> None:
+    """Write ``report.html``."""
+    config, trained = outcome.config, outcome.trained
     ranges = ", ".join(f"{n} ±{high:g}°" for n, (_, high) in _attitudes(config).items())
     near, far = config.scene.distance_m
     subject = f"{config.images} rendered images of a Soyuz at {near:g} to {far:g} m ({ranges})"
-    if config.train:
+    how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
+    training = {}
+    if trained:
         how = (
-            f"after a training of {weights.seconds:.0f} s from random weights on "
+            f"after a training of {trained.seconds:.0f} s from random weights on "
             f"{config.rendered_views} views of other scenes, {2 * config.negatives} of them "
             "without a Soyuz"
         )
-    else:
-        how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
-    return Report(
+        training = {
+            f"seconds to render {config.rendered_views} views": _seconds(outcome, "views"),
+            "seconds to train": _seconds(outcome, "train"),
+            "epochs": f"{len(trained.history)}, the best is {trained.best_epoch}",
+        }
+    write_report(
+        outcome.out / "report.html",
+        outcome.evaluation,
         title="From an image to a pose",
         subtitle=f"{subject}, each posed from the image alone, {how}.",
-        evaluation=outcome.evaluation,
-        history=weights.history,
+        history=trained.history if trained else (),
         facts={
             "images": f"{config.images} of {config.size[0]} × {config.size[1]} pixels",
             "attitudes": ranges,
             "weights": _weights_in_words(config),
             f"seconds to render {outcome.images_rendered} images": _seconds(outcome, "render"),
-            **(_training_facts(outcome) if config.train else {}),
+            **training,
             "seconds to evaluate": _seconds(outcome, "evaluate"),
             **versions(),
         },
         command=command(outcome.out, train=config.train),
     )
-
-
-def _training_facts(outcome: Outcome) -> dict[str, str]:
-    weights = outcome.weights
-    return {
-        f"seconds to render {outcome.config.rendered_views} views": _seconds(outcome, "views"),
-        "seconds to train": _seconds(outcome, "train"),
-        "epochs": f"{len(weights.history)}, the best is {weights.best_epoch}",
-    }
 
 
 def _seconds(outcome: Outcome, step: str) -> str:

@@ -20,19 +20,18 @@ from ffpose._internal.files import write_json
 from ffpose._internal.zoo import resolve
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import DemoRecord
-from ffpose.demo.report import SHIPPED, Outcome, Weights, document, page
+from ffpose.demo.report import SHIPPED, Outcome, document, write_page
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.evaluation.report.page import write_report
 from ffpose.evaluation.report.plots import training_curves, write_evaluation_figures
 from ffpose.evaluation.report.results import write_results
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder
-from ffpose.training.engine import train
+from ffpose.training.engine import TrainResult, train
 from ffpose.training.run import build_run
 
 
-def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> dict[str, Any]:
+def run(out: Path, config: DemoConfig | None = None) -> dict[str, Any]:
     """Render unseen images, optionally train a network, predict poses, and write a report.
 
     Args:
@@ -41,7 +40,6 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
             unfinished demo in the folder is resumed; of a finished one only evaluation and report
             are repeated.
         config: The demo's size.
-        quiet: Print nothing.
 
     Returns:
         The contents of ``report.json``.
@@ -53,37 +51,36 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
     """
     config = config or DemoConfig()
     record = DemoRecord.open(out, {**asdict(config), "ffpose": ffpose.__version__})
-    shipped = None if config.train else resolve(SHIPPED)
+    weights = RunFolder(config.training(out).out).best if config.train else resolve(SHIPPED)
     out.mkdir(parents=True, exist_ok=True)
     record.write(out)
-    _render(config, out, record, quiet=quiet)
-    weights = _train(config, out, record, quiet=quiet) if shipped is None else Weights(shipped)
-    _say(f"evaluate: {config.images} held-out images", quiet=quiet)
+    _render(config, out, record)
+    trained = _train(config, out, record) if config.train else None
+    _say(f"evaluate: {config.images} held-out images")
     began = time.perf_counter()
-    evaluation = evaluate(weights.file, "urso", out / "images", "all")
+    evaluation = evaluate(weights, "urso", out / "images", "all")
     write_results(evaluation, out / "evaluation")
     seconds = {
         "render": record.render_seconds,
         "views": record.views_seconds,
-        "train": weights.seconds,
+        "train": trained.seconds if trained else 0.0,
         "evaluate": time.perf_counter() - began,
     }
-    outcome = Outcome(config, out, weights, evaluation, record.images_rendered, seconds)
-    _say(f"report: {out / 'report.html'}", quiet=quiet)
+    outcome = Outcome(config, out, evaluation, trained, record.images_rendered, seconds)
+    _say(f"report: {out / 'report.html'}")
     write_evaluation_figures(evaluation, out / "evaluation")
-    write_report(page(outcome), out / "report.html")
+    write_page(outcome)
     result = document(outcome)
     write_json(out / "report.json", result)
     return result
 
 
-def _say(text: str, *, quiet: bool) -> None:
-    if not quiet:
-        print(text, file=sys.stderr, flush=True)
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
-def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> None:
-    _say(f"render: {config.images} images of a Soyuz over the Earth", quiet=quiet)
+def _render(config: DemoConfig, out: Path, record: DemoRecord) -> None:
+    _say(f"render: {config.images} images of a Soyuz over the Earth")
     written = write_dataset(
         config.scene,
         out / "images",
@@ -91,28 +88,28 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -
         config.seed,
         size=config.size,
         workers=config.workers,
-        progress=not quiet,
+        progress=True,
     )
     if written.rendered == 0:
-        _say("render: all images exist already", quiet=quiet)
+        _say("render: all images exist already")
         return
     record.images_rendered += written.rendered
     record.render_seconds += written.seconds
     record.write(out)
 
 
-def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> Weights:
+def _train(config: DemoConfig, out: Path, record: DemoRecord) -> TrainResult:
     training = config.training(out)
     if record.views_seconds == 0:
-        _say(f"views: rendering {config.rendered_views} training views", quiet=quiet)
+        _say(f"views: rendering {config.rendered_views} training views")
         began = time.perf_counter()
         build_run(training)
         record.views_seconds = time.perf_counter() - began
         record.write(out)
-    _say(f"train: {_epochs_to_do(training)}", quiet=quiet)
-    trained = train(training, resume=True, quiet=quiet)
+    _say(f"train: {_epochs_to_do(training)}")
+    trained = train(training, resume=True)
     save_figure(training_curves(trained.history), trained.folder.curves)
-    return Weights(trained.folder.best, trained.history, trained.best_epoch, trained.seconds)
+    return trained
 
 
 def _epochs_to_do(training: TrainConfig) -> str:

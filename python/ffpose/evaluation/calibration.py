@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from ffpose.errors import expect
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.geometry import FloatArray
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
 LEVELS = (0.5, 0.9, 0.99)
 """Confidence levels whose coverage is reported."""
@@ -35,42 +36,35 @@ ASYMMETRY = 1e-5
 """Tolerated asymmetry of a covariance relative to its largest entry, for float32 rounding."""
 
 
-def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
+def squared_mahalanobis(
+    error: ArrayLike, covariance: ArrayLike, name: str = "covariance"
+) -> FloatArray:
     """Return the squared Mahalanobis distances ``eᵀ C⁻¹ e`` ``(N,)``.
 
     Args:
         error: Errors ``(N, 3)``.
         covariance: Covariances ``(N, 3, 3)`` of the errors.
+        name: What messages call the covariance.
 
     Raises:
-        ValueError: As `check_covariance`, and for errors of another shape or not finite.
+        ValueError: A shape is wrong, a number is not finite, or a covariance is not symmetric and
+            positive definite; its row is named.
     """
     e, c = np.asarray(error, np.float64), np.asarray(covariance, np.float64)
     expect(e.ndim == 2 and e.shape[1] == 3, "error", "shape (N, 3)", e.shape)
-    if not np.isfinite(e).all():
-        raise ValueError("error: expected finite numbers")
-    check_covariance("covariance", c, len(e))
-    return np.asarray((e * np.linalg.solve(c, e[..., None])[..., 0]).sum(axis=1))
-
-
-def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
-    """Check that covariances ``(count, 3, 3)`` are symmetric and positive definite.
-
-    Raises:
-        ValueError: They are not, or not finite; the row is named.
-    """
-    expect(covariance.shape == (count, 3, 3), name, f"shape ({count}, 3, 3)", covariance.shape)
-    if not np.isfinite(covariance).all():
-        raise ValueError(f"{name}: expected finite numbers")
-    largest = np.abs(covariance).max(axis=(1, 2))
-    asymmetry = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
-    least = np.linalg.eigvalsh(covariance)[:, 0]
-    bad = np.flatnonzero((asymmetry > ASYMMETRY * largest) | (least <= 0))
+    expect(c.shape == (len(e), 3, 3), name, f"shape ({len(e)}, 3, 3)", c.shape)
+    for values, of in ((e, "error"), (c, name)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{of}: expected finite numbers")
+    largest = np.abs(c).max(axis=(1, 2))
+    asymmetry = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
+    bad = np.flatnonzero((asymmetry > ASYMMETRY * largest) | (np.linalg.eigvalsh(c)[:, 0] <= 0))
     if len(bad):
-        matrix = covariance[bad[0]].tolist()
         raise ValueError(
-            f"{name}: expected symmetric, positive definite matrices, got {matrix} in row {bad[0]}"
+            f"{name}: expected symmetric, positive definite matrices, got {c[bad[0]].tolist()} in"
+            f" row {bad[0]}"
         )
+    return np.asarray((e * np.linalg.solve(c, e[..., None])[..., 0]).sum(axis=1))
 
 
 def region_probability(
@@ -92,12 +86,11 @@ def region_probability(
         raise ValueError("squared distance: expected finite numbers of at least 0")
     if degrees_of_freedom is not None:
         return _t_probability(x, degrees_of_freedom)
-    erf = np.array([math.erf(value) for value in np.sqrt(x / 2).ravel()]).reshape(x.shape)
-    return np.asarray(erf - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
+    erf = np.vectorize(math.erf, [np.float64])
+    return np.asarray(erf(np.sqrt(x / 2)) - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
 
 
 def _t_probability(x: FloatArray, nu: float) -> FloatArray:
-    """Return `region_probability` for a t distribution."""
     most = np.arctan(np.sqrt(x / (nu - 2)))
     angles = most[..., None] / 2 * (NODES + 1)
     integral = (np.sin(angles) ** 2 * np.cos(angles) ** (nu - 1)) @ WEIGHTS * most / 2
@@ -130,27 +123,15 @@ def mixture_probability(
     return np.asarray(np.minimum((p * region_probability(reach, nu)).sum(axis=1), 1.0))
 
 
-class OtherMode(NamedTuple):
-    """A second mode of attitudes.
-
-    Attributes:
-        orientation: ``(N, 4)``.
-        truth: True attitudes ``(N, 4)``, of those of one look the nearest to ``orientation``.
-        probabilities: Of the predicted attitude and of this one ``(N, 2)``.
-    """
-
-    orientation: FloatArray
-    truth: FloatArray
-    probabilities: FloatArray
-
-
 def truth_regions(
     predicted: FloatArray,
     truth: FloatArray,
     translation_covariance: ArrayLike,
     rotation_covariance: ArrayLike,
     degrees_of_freedom: tuple[float, float] | None = None,
-    other: OtherMode | None = None,
+    alternative: FloatArray | None = None,
+    probabilities: ArrayLike | None = None,
+    symmetry: SymmetryGroup = IDENTITY,
 ) -> dict[str, FloatArray]:
     """Return the `region_probability` ``(N,)`` of each truth, for translation and for rotation.
 
@@ -161,23 +142,24 @@ def truth_regions(
         rotation_covariance: ``(N, 3, 3)``, rad², camera frame, of ``r`` with ``R_true = exp([r]x)
             R_predicted``.
         degrees_of_freedom: Of the t distributions of both errors; None for Gaussian errors.
-        other: A second mode of the attitude, whose errors have the same covariance: regions are of
-            both (`mixture_probability`).
+        alternative: Second most likely attitudes ``(N, 4)``, whose errors, to the true ones of the
+            same look nearest to them, have the same covariance: regions are of both modes
+            (`mixture_probability`).
+        probabilities: Of the predicted attitude and of ``alternative`` ``(N, 2)``; None without.
+        symmetry: What leaves the look as it is.
     """
     of_translation, of_rotation = degrees_of_freedom or (None, None)
-    moved, turned = (
-        truth[:, :3] - predicted[:, :3],
-        rotation_error_vector(predicted[:, 3:], truth[:, 3:]),
-    )
-    d2 = squared_mahalanobis(moved, translation_covariance)
-    angular = squared_mahalanobis(turned, rotation_covariance)
-    if other is None:
-        rotation = region_probability(angular, of_rotation)
+    moved, q = truth[:, :3] - predicted[:, :3], truth[:, 3:]
+    translation = squared_mahalanobis(moved, translation_covariance, "translation_covariance")
+    turned = rotation_error_vector(predicted[:, 3:], q)
+    rotation = squared_mahalanobis(turned, rotation_covariance, "rotation_covariance")
+    if alternative is None or probabilities is None:
+        regions = region_probability(rotation, of_rotation)
     else:
-        turned = rotation_error_vector(other.orientation, other.truth)
-        both = np.stack([angular, squared_mahalanobis(turned, rotation_covariance)], axis=1)
-        rotation = mixture_probability(both, other.probabilities, of_rotation)
-    return {"translation": region_probability(d2, of_translation), "rotation": rotation}
+        turned = rotation_error_vector(alternative, symmetry.nearest(alternative, q))
+        both = np.stack([rotation, squared_mahalanobis(turned, rotation_covariance)], axis=1)
+        regions = mixture_probability(both, probabilities, of_rotation)
+    return {"translation": region_probability(translation, of_translation), "rotation": regions}
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
@@ -190,8 +172,7 @@ def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
         ValueError: There are no truths.
     """
     p = np.asarray(probability, np.float64)
-    if p.size == 0:
-        raise ValueError("coverage: expected at least one truth, got none")
+    expect(len(p) > 0, "coverage", "at least one truth", len(p))
     return np.asarray((p[:, None] <= np.asarray(levels)).mean(axis=0))
 
 

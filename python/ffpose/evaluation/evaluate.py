@@ -5,15 +5,14 @@ The metrics are those of the paper's tables: errors of translation (Eq. 13) and 
 rotation error is also split into in-plane and out-of-plane parts (`ffpose.evaluation.attitude`), as
 a network may learn one and not the other.
 
-The baselines are the mean pose of the set's training split (`ffpose.evaluation.baseline`), or where
-that cannot be read, of the weights' training or of the images themselves, predicted for every
-image, and oracles that know one part of the truth.
+The baselines are a mean pose (`ffpose.evaluation.baseline`), predicted for every image, and oracles
+that know one part of the truth.
 """
 
 from __future__ import annotations
 
+import logging
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,17 +38,15 @@ from ffpose.errors import DataError
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
-    OtherMode,
-    check_covariance,
     check_probability,
     summarize_flag,
     summarize_regions,
     truth_regions,
 )
 from ffpose.evaluation.confusion import LARGE_DEG, most_confused
-from ffpose.evaluation.metrics import PoseErrors, median_intervals, pose_errors, summarized
+from ffpose.evaluation.metrics import PoseErrors, error_statistics, pose_errors, summarized
 from ffpose.evaluation.significance import circular_correlation, correlation
-from ffpose.geometry import Camera, DistortedCamera, FloatArray, Pose
+from ffpose.geometry import Camera, DistortedCamera, FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
 from ffpose.imaging.preprocessing import Preprocessing
@@ -59,6 +56,8 @@ from ffpose.inference.load import load
 from ffpose.inference.prediction import axis_length
 from ffpose.models import PosePrediction, WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,8 @@ class Evaluation:
     ``baseline_of`` says whose mean pose the baseline is.
 
     Raises:
-        ValueError: A covariance is not symmetric and positive definite, a probability is outside
-            0…1, shapes do not match, or there is one covariance alone.
+        ValueError: A probability is outside 0…1, a shape does not match, or there is one covariance
+            alone; by what needs the regions, a covariance is not symmetric and positive definite.
     """
 
     dataset: PoseDataset
@@ -101,9 +100,6 @@ class Evaluation:
     baseline_of: str = "the weights' training"
 
     def __post_init__(self) -> None:
-        for name in ("translation_covariance", "rotation_covariance"):
-            if (covariance := getattr(self, name)) is not None:
-                check_covariance(name, covariance, len(self.dataset))
         if (self.translation_covariance is None) != (self.rotation_covariance is None):
             raise ValueError("covariances: expected both or none, got one")
         for name, count in (("in_view", len(self.dataset)), ("in_view_empty", None)):
@@ -113,7 +109,7 @@ class Evaluation:
     @cached_property
     def errors(self) -> PoseErrors:
         """Errors of the predictions, image by image."""
-        return pose_errors(self.predicted, self.truth, target=self.dataset.target)
+        return self._errors(self.predicted, self.symmetry)
 
     @cached_property
     def truth(self) -> FloatArray:
@@ -123,13 +119,13 @@ class Evaluation:
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        return pose_errors(self._constant, self._truth_for_constant, target=self.dataset.target)
+        return self._errors(self._constant, self.symmetry)
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
         """Predicted and true roll, pitch and yaw ``(N, 3)`` each, degrees."""
         predicted, truth = (
-            np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])), np.float64)
+            np.asarray(arrays.quaternion_to_euler(poses[:, 3:]), np.float64)
             for poses in (self.predicted, self.truth)
         )
         return predicted, truth
@@ -145,22 +141,18 @@ class Evaluation:
             self.translation_covariance,
             self.rotation_covariance,
             self.degrees_of_freedom,
-            self._other,
+            self.alternative,
+            self.probabilities,
+            self.symmetry,
         )
-
-    @property
-    def _other(self) -> OtherMode | None:
-        if self.alternative is None or self.probabilities is None:
-            return None
-        truth = self.symmetry.nearest(self.alternative, self.truth[:, 3:])
-        return OtherMode(self.alternative, truth, self.probabilities)
 
     @cached_property
     def alternative_errors_deg(self) -> FloatArray | None:
         """Rotation errors ``(N,)`` of the second most likely attitudes; None where none are."""
-        if self._other is None:
+        if self.alternative is None:
             return None
-        return np.asarray(arrays.rotation_error(self._other.orientation, self._other.truth))
+        truth = self.symmetry.nearest(self.alternative, self.truth[:, 3:])
+        return np.asarray(arrays.rotation_error(self.alternative, truth))
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:
@@ -180,10 +172,6 @@ class Evaluation:
         begin = max(0, len(self.ranking) - count) // 2
         chosen: list[int] = self.ranking[begin : begin + count].tolist()
         return chosen
-
-    def pose(self, index: int) -> Pose:
-        """Return the predicted pose of image ``index``."""
-        return self.dataset.to_pose(self.predicted[index])
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics of the model, the baseline and the oracles.
@@ -208,21 +196,16 @@ class Evaluation:
         uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
-            **figures(self.errors),
-            "share_over_30_deg": _share_over_30_deg(self.errors),
-            "median_intervals_95": median_intervals(self.errors),
+            **error_statistics(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
                 "of": self.baseline_of,
-                **figures(self.baseline_errors),
-                "share_over_30_deg": _share_over_30_deg(self.baseline_errors),
-                "median_intervals_95": median_intervals(self.baseline_errors),
-                "confusion": _confusion(self._constant, self._truth_for_constant),
+                **error_statistics(self.baseline_errors),
+                "confusion": self._confusion(self._constant),
             },
-            **self._without_symmetry(),
-            **self._modulo_unfolded(),
-            "confusion": _confusion(self.predicted, self.truth),
+            **self._modulo_others(),
+            "confusion": self._confusion(self.predicted),
             "oracles": self._oracles(),
             "correlation": self._correlations(),
             "groups": breakdown(self.errors, distance, self.conditions),
@@ -233,32 +216,32 @@ class Evaluation:
     def _constant(self) -> FloatArray:
         return np.broadcast_to(self.baseline, self.dataset.poses.shape)
 
-    @property
-    def _truth_for_constant(self) -> FloatArray:
-        return self.symmetry.folded(self._constant, self.dataset.poses)
-
-    def _without_symmetry(self) -> dict[str, Any]:
-        if len(self.symmetry) == 1:
-            return {}
-        errors = self._rotation_errors(self.predicted, IDENTITY)
-        return {"without_symmetry": {"axes": self.symmetry.to_json(), **errors}}
-
-    def _modulo_unfolded(self) -> dict[str, Any]:
-        told = [
-            {
-                "axes": group.to_json(),
-                **self._rotation_errors(self.predicted, group),
-                "mean_pose_baseline": self._rotation_errors(self._constant, group),
-            }
-            for group in self.unfolded
-        ]
-        return {"modulo_unfolded": told} if told else {}
-
-    def _rotation_errors(self, poses: FloatArray, group: SymmetryGroup) -> dict[str, float]:
-        """Return means and medians of the rotation errors of poses ``(N, 7)`` modulo a group."""
+    def _errors(self, poses: FloatArray, group: SymmetryGroup) -> PoseErrors:
+        """Return the errors of poses ``(N, 7)`` modulo a group."""
         truth = group.folded(poses, self.dataset.poses)
-        errors = figures(pose_errors(poses, truth, target=self.dataset.target))
-        return {name: value for name, value in errors.items() if name.endswith("error_deg")}
+        return pose_errors(poses, truth, target=self.dataset.target)
+
+    def _confusion(self, poses: FloatArray) -> dict[str, Any]:
+        truth = self.symmetry.folded(poses, self.dataset.poses)
+        turn, share = most_confused(poses[:, 3:], truth[:, 3:])
+        return {"rotation_vector_deg": turn.tolist(), "share": share}
+
+    def _modulo_others(self) -> dict[str, Any]:
+        """Return the rotation errors regardless of the symmetry, and modulo each of `unfolded`."""
+        result: dict[str, Any] = {}
+        if len(self.symmetry) > 1:
+            plain = _rotation_metrics(self._errors(self.predicted, IDENTITY))
+            result["without_symmetry"] = {"axes": self.symmetry.to_json(), **plain}
+        if self.unfolded:
+            result["modulo_unfolded"] = [
+                {
+                    "axes": group.to_json(),
+                    **_rotation_metrics(self._errors(self.predicted, group)),
+                    "mean_pose_baseline": _rotation_metrics(self._errors(self._constant, group)),
+                }
+                for group in self.unfolded
+            ]
+        return result
 
     def _oracles(self) -> dict[str, dict[str, float]]:
         if self.dataset.target == "camera":  # whose ray to the origin means nothing
@@ -270,10 +253,7 @@ class Evaluation:
             "in_plane_known": errors._replace(rotation_deg=across, in_plane_deg=none),
             "out_of_plane_known": errors._replace(rotation_deg=inside, out_of_plane_deg=none),
         }
-        return {
-            name: {key: value for key, value in figures(each).items() if key.endswith("_deg")}
-            for name, each in known.items()
-        }
+        return {name: _rotation_metrics(each) for name, each in known.items()}
 
     def _correlations(self) -> dict[str, float | None]:
         (roll_hat, pitch_hat, yaw_hat), (roll, pitch, yaw) = (angles.T for angles in self.angles)
@@ -324,10 +304,11 @@ def evaluate(
 
     ``weights`` are what `ffpose.load` takes; their header defines the preprocessing, and what
     ``decoding`` leaves open. The baseline is the mean pose of the training split of ``root``, where
-    that is none of the images; else of the weights' training, else of the images themselves.
-    With ``reproject`` images of another camera are reprojected into the network's view; ``empty``
-    is a folder of images that do not show the object, for miss rate and AUROC; errors are modulo
-    ``symmetry``, that of the training for None, and told modulo each of ``unfolded`` too.
+    that is none of the images; else of the weights' training, else of the images themselves. A
+    warning says why a split that is there cannot be read. With ``reproject`` images of another
+    camera are reprojected into the network's view; ``empty`` is a folder of images that do not show
+    the object, for miss rate and AUROC; errors are modulo ``symmetry``, that of the training for
+    None, and told modulo each of ``unfolded`` too.
 
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
@@ -344,17 +325,18 @@ def evaluate(
     dataset.expect_target(metadata.locates)
     expect_in_front(dataset.records)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
-    baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
-    of = "the weights' training"
-    if split not in ("all", "train") and "train" in list_splits(kind, root):
-        # Its labels, or its images, may not be there: then the baseline is the mean pose of the
-        # weights' training or of the images themselves, and the summary says which.
-        with suppress(DataError, FileNotFoundError):
-            baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
-            of = f"the split train of {root.resolve().name}"
-    if baseline is None:
-        baseline, of = mean_pose(dataset.poses), "the images themselves"
+    baseline, baseline_of = _baseline(metadata, kind, root, split, dataset)
     conditions = read_conditions(root, dataset.names)
+    lens = dataset.records[0].lens
+    empty_in_view = []
+    for image in empty_images:
+        picture = _decoded(image, decoding.white, lens)
+        found = estimator.run(dataset.preprocessing.array(picture)[None])
+        if "in_view" not in found:
+            raise ValueError(
+                "empty: expected weights that predict whether the object is in view, got others"
+            )
+        empty_in_view.append(found["in_view"])
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
     batches = [estimator.run(batch.image.numpy()) for batch in loader]
@@ -364,24 +346,45 @@ def evaluate(
         for name in batches[0]
     }
     predicted = np.concatenate([outputs.pop(name) for name in PosePrediction._fields], axis=1)
-    told: dict[str, Any] = {**outputs}
-    told["degrees_of_freedom"] = metadata.config.degrees_of_freedom
-    told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
-    told["unfolded"] = unfolded
-    told["in_view_threshold"] = metadata.in_view_threshold
-    told["axis_m"] = axis_length(metadata.config)
-    told["baseline_of"] = of
-    if empty_images:
-        if "in_view" not in told:
-            raise ValueError(
-                "empty: expected weights that predict whether the object is in view, got others"
+    if empty_in_view:
+        outputs["in_view_empty"] = np.concatenate(empty_in_view).astype(np.float64)
+    return Evaluation(
+        dataset,
+        predicted,
+        baseline,
+        seconds,
+        conditions,
+        in_view_threshold=metadata.in_view_threshold,
+        degrees_of_freedom=metadata.config.degrees_of_freedom,
+        symmetry=metadata.symmetry if symmetry is None else symmetry,
+        unfolded=unfolded,
+        axis_m=axis_length(metadata.config),
+        baseline_of=baseline_of,
+        **outputs,
+    )
+
+
+def _baseline(
+    metadata: WeightsMetadata | ModelMetadata,
+    kind: str,
+    root: Path,
+    split: Part,
+    dataset: PoseDataset,
+) -> tuple[FloatArray, str]:
+    """Return the mean pose to compare with, and whose it is."""
+    if split not in ("all", "train") and "train" in list_splits(kind, root):
+        try:
+            training = open_dataset(kind, root, "train", metadata.preprocessing)
+            return mean_pose(training.poses), f"the split train of {root.resolve().name}"
+        except FileNotFoundError:
+            pass  # its labels are elsewhere
+        except DataError as error:
+            logger.warning(
+                "the baseline is not of the split train, as it cannot be read: %s", error
             )
-        lens = dataset.records[0].lens
-        pictures = (_decoded(image, decoding.white, lens) for image in empty_images)
-        inputs = (dataset.preprocessing.array(picture)[None] for picture in pictures)
-        empty_in_view = [estimator.run(each)["in_view"] for each in inputs]
-        told["in_view_empty"] = np.concatenate(empty_in_view).astype(np.float64)
-    return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
+    if isinstance(metadata, WeightsMetadata) and metadata.mean_pose is not None:
+        return metadata.mean_pose, "the weights' training"
+    return mean_pose(dataset.poses), "the images themselves"
 
 
 def _decoded(path: Path, white: float | str | None, lens: DistortedCamera | None) -> Image.Image:
@@ -395,18 +398,9 @@ def _decoded(path: Path, white: float | str | None, lens: DistortedCamera | None
     return undistort(picture, lens)
 
 
-def figures(errors: PoseErrors) -> dict[str, float]:
-    """Return means, medians and scores of errors, as `PoseError`."""
-    return {name: float(value) for name, value in summarized(errors).items()}
-
-
-def _share_over_30_deg(errors: PoseErrors) -> float:
-    return float((errors.rotation_deg > LARGE_DEG).float().mean())
-
-
-def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
-    turn, share = most_confused(predicted[:, 3:], truth[:, 3:])
-    return {"rotation_vector_deg": turn.tolist(), "share": share}
+def _rotation_metrics(errors: PoseErrors) -> dict[str, float]:
+    """Return means and medians of the rotation errors and their parts."""
+    return {name: float(value) for name, value in summarized(errors).items() if "_deg" in name}
 
 
 def _median_sigma(covariance: FloatArray) -> float:

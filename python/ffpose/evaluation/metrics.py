@@ -28,6 +28,7 @@ from torchmetrics.utilities import dim_zero_cat
 
 from ffpose import arrays
 from ffpose.evaluation.attitude import rotation_parts
+from ffpose.evaluation.confusion import LARGE_DEG
 from ffpose.evaluation.significance import median_interval
 from ffpose.geometry import Target
 
@@ -137,14 +138,6 @@ def named_errors(errors: PoseErrors) -> dict[str, NDArray[np.float64]]:
     return {name: values.numpy() for name, values in defined(errors, SUMMARIZED).items()}
 
 
-def median_intervals(errors: PoseErrors) -> dict[str, list[float]]:
-    """Return bootstrap intervals of the medians, named as in `PoseError`."""
-    return {
-        f"median_{name}": list(median_interval(values))
-        for name, values in named_errors(errors).items()
-    }
-
-
 class PoseError(Metric):
     """Mean and median pose errors over all samples of all processes.
 
@@ -197,4 +190,20 @@ def summarized(errors: PoseErrors) -> dict[str, Tensor]:
             for statistic, value in (("mean", values.mean()), ("median", values.quantile(0.5)))
         },
         **{name: values.mean() for name, values in defined(errors, SCORES).items()},
+    }
+
+
+def error_statistics(errors: PoseErrors) -> dict[str, Any]:
+    """Return the metrics of errors, as `PoseError.compute`, their intervals and the large ones.
+
+    ``share_over_30_deg`` is that of attitudes which are farther off, and ``median_intervals_95``
+    has bootstrap intervals of the medians by name.
+    """
+    return {
+        **{name: float(value) for name, value in summarized(errors).items()},
+        "share_over_30_deg": float((errors.rotation_deg > LARGE_DEG).double().mean()),
+        "median_intervals_95": {
+            f"median_{name}": list(median_interval(values))
+            for name, values in named_errors(errors).items()
+        },
     }

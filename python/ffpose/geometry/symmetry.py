@@ -118,7 +118,7 @@ class SymmetryGroup:
         return np.concatenate([found[:1], found[along < 0][:1]])
 
     def _products(self, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the products ``(N, F)`` of turns ``(N, 4)`` with `_finite`, and with `_spun`.
+        """Return the products ``(..., F)`` of turns ``(..., 4)`` with `_finite`, and with `_spun`.
 
         Of ``g (cos s + u sin s)``, about the axis ``u`` of any angle, the product with a turn is
         ``a cos s + b sin s`` with those of ``g`` and ``g u``: at most ``hypot(a, b)``, at ``s =
@@ -144,15 +144,15 @@ class SymmetryGroup:
         return "; ".join(map(str, self.axes)) or "none"
 
     def nearest(self, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        """Return the attitudes ``q g`` of the looks of ``q (N, 4)`` that are nearest to ``q_hat``.
+        """Return the attitudes ``q g`` of the looks of ``q (..., 4)`` nearest to ``q_hat``.
 
-        ``q_hat`` are quaternions ``(N, 4)`` of any nonzero norm, ``q`` unit ones.
+        ``q_hat`` are quaternions ``(..., 4)`` of any nonzero norm, ``q`` unit ones.
         """
         if len(self) == 1:
             return q
         a, b = self._products(multiply(conjugate(q), q_hat))
-        chosen = np.hypot(a, b).argmax(axis=1)
-        a, b = (np.take_along_axis(each, chosen[:, None], axis=1) for each in (a, b))
+        chosen = np.hypot(a, b).argmax(axis=-1)
+        a, b = (np.take_along_axis(each, chosen[..., None], axis=-1) for each in (a, b))
         spin = np.arctan2(b * np.copysign(1, a), np.abs(a))
         turn = self._finite[chosen] * np.cos(spin) + self._spun[chosen] * np.sin(spin)
         return multiply(q, turn)

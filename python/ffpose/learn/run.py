@@ -29,7 +29,7 @@ from ffpose._internal.zoo import resolve_initial
 from ffpose.errors import DataError, expect
 from ffpose.evaluation.card.measurement import measure
 from ffpose.evaluation.evaluate import Evaluation, evaluate
-from ffpose.evaluation.report.page import Report, write_report
+from ffpose.evaluation.report.page import write_report
 from ffpose.evaluation.report.plots import write_evaluation_figures
 from ffpose.evaluation.report.results import write_results
 from ffpose.geometry import Camera, DistortedCamera
@@ -547,22 +547,20 @@ def _report(
 ) -> None:
     near, far = scene.distance_m
     write_report(
-        Report(
-            title=f"{scene.name}: from an image to a pose",
-            subtitle=verdict(evaluation.summary()) + ".",
-            evaluation=evaluation,
-            history=result.history,
-            facts={
-                "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
-                "distances": f"{near:.3g} to {far:.3g} m",
-                "budget": f"{config.minutes:g} minutes",
-                "symmetry": _folded(evaluation.symmetry),
-                "epochs": f"{len(result.history)}, the best is {result.best_epoch}",
-                "ffpose": __version__,
-            },
-            command=shlex.join(_command(config)),
-        ),
         config.out / "report.html",
+        evaluation,
+        title=f"{scene.name}: from an image to a pose",
+        subtitle=verdict(evaluation.summary()) + ".",
+        history=result.history,
+        facts={
+            "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
+            "distances": f"{near:.3g} to {far:.3g} m",
+            "budget": f"{config.minutes:g} minutes",
+            "symmetry": _folded(evaluation.symmetry),
+            "epochs": f"{len(result.history)}, the best is {result.best_epoch}",
+            "ffpose": __version__,
+        },
+        command=shlex.join(_command(config)),
     )
 
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ffpose.geometry import FloatArray
+from ffpose.geometry import FloatArray, Pose
 from ffpose.geometry.rotations import conjugate, multiply, rotation_matrix, rotation_vector
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.trajectory import Trajectory
+from ffpose.tracking.tracker import Estimate
 
 if TYPE_CHECKING:
     from ffpose.tracking.follow import Followed
@@ -99,13 +100,13 @@ def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTIT
     start, way = np.nan, 0.0
     for row, each in enumerate(followed):
         one, pose = each.step.estimate, each.frame.pose
+        if one is None or each.step.outcome == "switched":
+            compared.chosen = None
         nis[row] = np.nan if each.step.nis is None else each.step.nis
         if pose is not None and each.alone is not None and not each.alone.flagged:
-            nearest = symmetry.nearest(each.alone.q[None], pose.q[None])[0]
+            nearest = symmetry.nearest(each.alone.q, pose.q)
             turn = rotation_vector(multiply(conjugate(each.alone.q), nearest))
             alone[row] = np.linalg.norm(pose.t - each.alone.t), np.degrees(np.linalg.norm(turn))
-        place = places.get(row)
-        true = compared(each, np.zeros(3) if place is None else truth.w[place])
         if pose is not None and len(symmetry) == 1:
             attitudes[row] = pose.q
         if one is None:
@@ -115,13 +116,14 @@ def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTIT
         if np.isnan(start):
             start, way = each.frame.time, 0.0
         since[row] = each.frame.time - start
-        if pose is None or place is None or true is None:
+        if pose is None:
             continue
+        place = places[row]
         if place and since[row] > 0:
             passed = min(truth.times[place] - truth.times[place - 1], since[row])
             way += float(np.degrees(np.linalg.norm(truth.w[place]))) * passed
         turned[row] = way
-        attitudes[row], w = true
+        attitudes[row], w = compared(one, pose, truth.w[place])
         turn = rotation_vector(multiply(conjugate(one.q), attitudes[row]))
         rate = w - np.radians(one.w)
         error = np.concatenate([pose.t - one.t, truth.v[place] - one.v, turn, rate])
@@ -143,43 +145,31 @@ class _Compared:
         self._symmetry = symmetry
         free = tuple(axis for axis in symmetry.axes if axis.fold == 0)
         self._spins, self._axis = SymmetryGroup(free), free[0].unit if free else np.zeros(3)
-        self._chosen: FloatArray | None = None
+        self.chosen: FloatArray | None = None
 
-    def __call__(self, each: Followed, w: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return the true attitude and angular velocity, rad/s along its axes; None without.
+    def __call__(self, one: Estimate, pose: Pose, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the true attitude and angular velocity, rad/s along its axes.
 
-        ``w`` is the angular velocity along the axes of the frame's own true attitude.
+        ``w`` is the angular velocity along the axes of the true ``pose``.
         """
-        one, pose = each.step.estimate, each.frame.pose
-        if one is None or each.step.outcome == "switched":
-            self._chosen = None
-        if one is None or pose is None:
-            return None
-        if self._chosen is None:
-            self._chosen = multiply(conjugate(pose.q), self._nearest(self._symmetry, one.q, pose.q))
-        q = self._nearest(self._spins, one.q, multiply(pose.q, self._chosen))
+        if self.chosen is None:
+            self.chosen = multiply(conjugate(pose.q), self._symmetry.nearest(one.q, pose.q))
+        q = self._spins.nearest(one.q, multiply(pose.q, self.chosen))
         turned = w @ rotation_matrix(multiply(conjugate(pose.q), q))
         return q, turned + self._axis * (self._axis @ (np.radians(one.w) - turned))
-
-    @staticmethod
-    def _nearest(group: SymmetryGroup, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        return np.asarray(group.nearest(q_hat[None], q[None])[0])
 
 
 def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:
     """Return the true motion, and for each frame with a true pose its row there."""
-    known = [
-        (row, each.frame.time, each.frame.pose)
-        for row, each in enumerate(followed)
-        if each.frame.pose is not None
-    ]
-    places = {row: place for place, (row, _, _) in enumerate(known)}
-    times = np.array([time for _, time, _ in known])
-    truth = Trajectory.through(times, [pose for _, _, pose in known])
-    if len(known) == 1:
+    poses = {
+        row: each.frame.pose for row, each in enumerate(followed) if each.frame.pose is not None
+    }
+    times = np.array([followed[row].frame.time for row in poses])
+    truth = Trajectory.through(times, [*poses.values()])
+    if len(poses) == 1:
         unknown = np.full((1, 3), np.nan)
         truth = replace(truth, v=unknown, w=unknown)
-    return truth, places
+    return truth, {row: place for place, row in enumerate(poses)}
 
 
 def _median(values: FloatArray) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -104,13 +104,12 @@ def run(
     *,
     settings: Settings | None = None,
     title: str = "Track",
-    said: Callable[[Followed], None] = lambda followed: None,
 ) -> list[Followed]:
     """Track the object through frames, and write `TRAJECTORY`, `REPORT` and `OVERLAY` to a folder.
 
     Whatever exception ends the run, the frames until then are in the trajectory; without a frame no
     file is written. Ctrl-C is one, and in a command SIGTERM is (`ffpose.cli.main`). Settings are
-    those of the network (`Settings.of`) unless given; ``said`` is called with each frame.
+    those of the network (`Settings.of`) unless given.
 
     Raises:
         ValueError: The network has no uncertainty or locates the camera.
@@ -121,9 +120,7 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     followed: list[Followed] = []
     try:
-        for each in steps:
-            followed.append(each)
-            said(each)
+        followed.extend(steps)  # those before an exception stay
     finally:
         if followed:
             write_trajectory(followed, out / TRAJECTORY)
@@ -138,14 +135,17 @@ def run(
     if all(each.step.estimate is None for each in followed):
         flagged = sum(bool(each.alone and each.alone.flagged) for each in followed)
         poses = len(followed) - flagged
-        rest = "the others' poses do not agree" if poses else "none has a pose"
-        if 0 < poses < settings.agreeing:
+        gaps = (b.frame.time - a.frame.time for a, b in pairwise(followed))
+        if not poses:
+            rest = "none has a pose"
+        elif poses < settings.agreeing:
             rest = f"a track needs {settings.agreeing} poses that agree, got {poses}"
-        apart = [b.frame.time - a.frame.time for a, b in pairwise(followed)]
-        if poses >= settings.agreeing and min(apart, default=0.0) > settings.coasting:
+        elif min(gaps, default=0.0) > settings.coasting:
             rest = (
                 f"all are more than {settings.coasting:g} s apart, after which a track is lost:"
                 " settings want a larger coasting"
             )
+        else:
+            rest = "the others' poses do not agree"
         raise DataError(f"no track: of {len(followed)} frames {flagged} are flagged, and {rest}")
     return followed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,7 +53,9 @@ def write_report(
         (_consistency(measured), "normalized squared errors against their bounds"),
         (_about_target(followed, measured), "the camera's way in the frame of the target"),
     ]
-    rows = {**_counts(followed), **(measured.summary() if known else {})}
+    rows: dict[str, float] = {**Counter(each.step.outcome for each in followed)}
+    if known:
+        rows |= measured.summary()
     table = "".join(
         f"<tr><th>{html.escape(name.replace('_', ' '))}</th><td>{_shown(value)}</td></tr>"
         for name, value in rows.items()
@@ -127,11 +130,6 @@ def _pictures(
                 box = (0, 0, image.width - 1, image.height - 1)
                 ImageDraw.Draw(image).rectangle(box, outline=mark, width=4)
         yield image
-
-
-def _counts(followed: Sequence[Followed]) -> dict[str, float]:
-    outcomes = [each.step.outcome for each in followed]
-    return {outcome: float(outcomes.count(outcome)) for outcome in dict.fromkeys(outcomes)}
 
 
 def _shown(value: float) -> str:

@@ -113,7 +113,7 @@ class Settings:
                 name: math.inf if value == INFINITE else value
                 for name, value in (given or {}).items()
             }
-            if unknown := told.keys() - {field.name for field in fields(cls)}:
+            if unknown := sorted(told.keys() - {field.name for field in fields(cls)}):
                 raise ValueError(f"{source}: expected fields of Settings, got {', '.join(unknown)}")
         degrees = network.config.degrees_of_freedom
         if degrees is not None:

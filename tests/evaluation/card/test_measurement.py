@@ -264,6 +264,25 @@ def test_a_card_of_another_set_of_the_same_name_is_measured_anew(weights, tmp_pa
     assert measure(weights, "soyuz_easy", **options) == measured
 
 
+def test_a_card_whose_writing_broke_off_is_measured_again(weights, tmp_path, monkeypatch):
+    for name, made in {"answer": {}, "_results": {}, "format_card": ""}.items():
+        monkeypatch.setattr(measurement, name, lambda *_, made=made: made)
+    options = {"count": 1, "size": (64, 48), "out": tmp_path}
+    write_text = measurement.write_text
+
+    def one_file(path, text):
+        if any(tmp_path.iterdir()):
+            raise OSError("disk full")
+        write_text(path, text)
+
+    monkeypatch.setattr(measurement, "write_text", one_file)
+    with pytest.raises(OSError, match="disk full"):
+        measure(weights, "soyuz_easy", **options)
+    monkeypatch.setattr(measurement, "write_text", write_text)
+    measure(weights, "soyuz_easy", **options)
+    assert {path.name for path in tmp_path.iterdir()} == {"card.json", "card.md"}
+
+
 @pytest.mark.peer
 def test_images_of_a_second_renderer_are_one_more_condition(weights, document):
     pytest.importorskip("mitsuba")

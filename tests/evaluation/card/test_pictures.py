@@ -23,11 +23,6 @@ def test_a_picture_is_pure_and_no_other_is_like_it(kind):
     assert not np.array_equal(pixels(kind), pixels(kind, seed=8))
 
 
-def test_an_unknown_kind_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="expected one of charts, noise, clutter, got 'cats'"):
-        draw_picture("cats", 0, 0, SIZE)
-
-
 def spectral_slope(kind):
     """Slope of the logarithm of the mean power over that of the frequency."""
     f = np.hypot(np.fft.fftfreq(128)[:, None], np.fft.fftfreq(192)).ravel()

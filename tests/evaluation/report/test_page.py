@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from ffpose.datasets import open_dataset
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.evaluation.report.page import Report, write_report
+from ffpose.evaluation.report.page import write_report
 from ffpose.evaluation.report.tables import comparison, conditions_table, figures_table, headline
 from ffpose.imaging.preprocessing import Preprocessing
 from tiny_runs import write_set
@@ -45,7 +45,8 @@ def moved(dataset, meters, baseline):
 
 
 def page(evaluation, path):
-    write_report(Report("title", "subtitle", evaluation, HISTORY, {}, "command"), path)
+    told = {"title": "title", "subtitle": "subtitle", "command": "command"}
+    write_report(path, evaluation, history=HISTORY, facts={}, **told)
     return path.read_text()
 
 

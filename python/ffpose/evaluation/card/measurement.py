@@ -1,9 +1,9 @@
 """Measurements for a model card: weights under the conditions of their training and others.
 
 Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
-through `ffpose.load` like any other. Where errors grow, the predicted uncertainty
-should grow, and images that do not show the object should be flagged; so coverage and flag rates
-are reported with the errors. Rendering needs the extra `render`.
+through `ffpose.load` like any other. Where errors grow, the predicted uncertainty should grow, and
+images that do not show the object should be flagged; so coverage and flag rates are reported with
+the errors. Rendering needs the extra `render`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
+from rich.console import Console
+from rich.progress import track
 
 from ffpose import __version__
 from ffpose._internal.files import read_json, sha256, write_text
@@ -38,12 +40,11 @@ from ffpose.inference.load import load
 from ffpose.inference.source import find_source
 from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.render import SCENES, Scene, find_scene
-from ffpose.render.renderer import camera_of
+from ffpose.render import SCENES, Scene, find_scene, label
+from ffpose.render.renderer import camera_of, situation
+from ffpose.render.sampler import is_low
 from ffpose.render.scene import ALL_ATTITUDES
-
-if TYPE_CHECKING:
-    from ffpose.render.variations import Variation
+from ffpose.render.variations import Variation, render_variations, variations, without_object
 
 BATCH = 16
 
@@ -92,8 +93,6 @@ class Plan:
 
     def show(self) -> Iterator[Shown]:
         """Yield the images; those of one condition are in order, interleaved with others."""
-        from ffpose.render.variations import render_variations
-
         scenes = (*self.with_object, *self.without)
         frames = render_variations(
             scenes, self.seed, self.count, self.size, self.workers, self.keep
@@ -157,8 +156,10 @@ def measure(
     if second_renderer:
         require("mitsuba", "mitsuba")
     scene = find_scene(scene)
-    parameters = _parameters(scene)
-    if parameters is None:
+    built_in = SCENES.get(scene.name) == scene
+    # What tells a set from others of its name, as JSON gives it back.
+    parameters = None if built_in else json.loads(json.dumps(scene.parameters()))
+    if built_in:
         scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     identity = {
         "sha256": sha256(find_source(weights).path),
@@ -181,8 +182,9 @@ def measure(
     plan = _plan(scene, metadata, second_renderer, count, size, seed, workers, keep)
     began = time.perf_counter()
     symmetry = metadata.symmetry
-    shown = answer(estimator, _with_bar(plan, show=progress))
-    answers = {name: folded(each, symmetry) for name, each in shown.items()}
+    total, screen = plan.count * len(plan.about), Console(stderr=True)
+    shown = track(plan.show(), "images", total, console=screen, disable=not progress)
+    answers = {name: folded(each, symmetry) for name, each in answer(estimator, shown).items()}
     document = {
         "weights": str(weights),
         **{name: value for name, value in identity.items() if value is not None},
@@ -193,23 +195,11 @@ def measure(
         **({"symmetry": str(symmetry)} if len(symmetry) > 1 else {}),
     }
     if out is not None:
-        _write(document, out)
+        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / "card.md", format_card(document))
+        write_text(out / "card.json", text)  # the last: where it is, all is done
     return document
-
-
-def _parameters(scene: Scene) -> dict[str, Any] | None:
-    """Return what tells a set from others of its name, as JSON has it; None for a built-in one."""
-    if SCENES.get(scene.name) == scene:
-        return None
-    parameters: dict[str, Any] = json.loads(json.dumps(scene.parameters()))
-    return parameters
-
-
-def _write(document: dict[str, Any], out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    write_text(out / "card.json", text)
-    write_text(out / "card.md", format_card(document))
 
 
 def _plan(
@@ -219,22 +209,10 @@ def _plan(
     *settings: Any,
 ) -> Plan:
     """Plan the images for a network; only one with a second look is tested for the flag."""
-    from ffpose.render.variations import variations, without_object
-
     config, vary = metadata.config, partial(variations, scene, second_renderer=second_renderer)
     if not looks_twice(config):
         return Plan(vary(scene.distance_m[1]), [], [], *settings)
     return Plan(vary(config.distance_m[1]), without_object(scene), list(PICTURES), *settings)
-
-
-def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
-    if not show:
-        return plan.show()
-    progress, console = require("rich.progress", "pose"), require("rich.console", "pose")
-    total = plan.count * len(plan.about)
-    screen = console.Console(stderr=True)
-    bar: Iterable[Shown] = progress.track(plan.show(), "images", total, console=screen)
-    return bar
 
 
 def answer(estimator: PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:
@@ -296,9 +274,6 @@ def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str,
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
     """Split the scenes as trained into those in sunlight, also over dark ground, and in eclipse."""
-    from ffpose.render.renderer import situation
-    from ffpose.render.sampler import is_low
-
     around = [situation(plan.trained.scene, plan.seed, i).around for i in range(plan.count)]
     dark = np.array([each.eclipsed for each in around])
     low = np.array([is_low(each.sun, each.nadir) for each in around])
@@ -311,7 +286,5 @@ def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
 
 
 def _mean_pose(scene: Scene) -> Pose:
-    from ffpose.render import label
-
     labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
     return Pose.from_vector(mean_pose(np.stack(labels)))

@@ -7,18 +7,16 @@ is akin, is "partly" seen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, astuple, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from ffpose.config import PRESETS, looks_twice
 from ffpose.imaging.transforms import Augmentation
 from ffpose.render.scene import ALL_ATTITUDES, SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
+from ffpose.render.variations import Variation
 from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
-
-if TYPE_CHECKING:
-    from ffpose.render.variations import Variation
 
 Recipe = Mapping[str, Any]
 Answer = Literal["yes", "partly", "no", "unknown"]
@@ -38,23 +36,15 @@ class Seen(NamedTuple):
 
 
 def trainings(recipe: Recipe | None) -> list[Recipe | None]:
-    """Return the recipes of the whole chain, the last training first; None for an unknown one."""
-    found: list[Recipe | None] = []
-    here = _known(recipe)
-    while here is not None:
-        found.append(here)
-        init = here.get("init")
-        if init is None:
-            return found
-        here = _known(init["recipe"])
-    return [*found, None]
+    """Return the recipes of the whole chain, the last training first; None for an unknown one.
 
-
-def _known(recipe: Recipe | None) -> Recipe | None:
-    """Return a recipe, or None for one of another program, which says nothing of these images."""
-    if recipe is None or not {"data", "views"} <= recipe.keys():
-        return None
-    return recipe if recipe.get("model") in PRESETS else None
+    A recipe of another program, which says nothing of these images, is unknown too.
+    """
+    if recipe is None or not {"data", "views", "model"} <= recipe.keys():
+        return [None]
+    init = recipe.get("init")
+    rest = trainings(init["recipe"]) if init else []
+    return [recipe, *rest] if recipe["model"] in PRESETS else [None]
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
@@ -63,10 +53,10 @@ def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | N
     ``own`` is the set that the variation is of, which none of `SCENES` may be.
     """
     sets = SCENES if own is None else {own.name: own} | SCENES
-    craft, recipe = variation.scene.craft, _known(recipe)
-    if recipe is None or craft in _crafts(recipe, sets):
+    craft, (last, *before) = variation.scene.craft, trainings(recipe)
+    if last is None or craft in _crafts(last, sets):
         return _over_all(recipe, lambda each: _had(each, variation, sets))
-    other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]
+    other = _over_all(recipe, _other_spacecraft)
     if any(each is not None and craft in _crafts(each, sets) for each in before):
         return Seen("partly", f"{other.how}, and {AS_OBJECT}" if other.how else AS_OBJECT)
     return other
@@ -78,22 +68,20 @@ def picture_seen(recipe: Recipe | None, kind: str) -> Seen:
     def had(each: Recipe) -> Seen:
         if kind == "clutter" or each["views"]["empty"] == 0:
             return Seen("no")
-        return (
-            Seen("partly", "gradients, blocks, bars and noise") if kind == "charts" else Seen("yes")
-        )
+        akin = Seen("partly", "gradients, blocks, bars and noise")
+        return akin if kind == "charts" else Seen("yes")
 
     return _over_all(recipe, had)
 
 
-def _over_all(recipe: Recipe | None, had: Any) -> Seen:
+def _over_all(recipe: Recipe | None, had: Callable[[Recipe], Seen]) -> Seen:
     """Return what the last training had, or else what those before it had."""
-    answers = [Seen("unknown") if each is None else had(each) for each in trainings(recipe)]
-    last, *before = answers
-    if last.answer in ("yes", "partly", "unknown"):
+    last, *before = (Seen("unknown") if each is None else had(each) for each in trainings(recipe))
+    if last.answer != "no":
         return last
     if any(each.answer == "yes" for each in before):
         return Seen("partly", BEFORE)
-    return next((each for each in before if each.answer in ("partly", "unknown")), last)
+    return next((each for each in before if each.answer != "no"), last)
 
 
 def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:

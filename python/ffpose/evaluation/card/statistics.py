@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.evaluation.calibration import (
-    OtherMode,
-    auroc,
-    coverages,
-    flag_rates,
-    truth_regions,
-)
-from ffpose.evaluation.confusion import LARGE_DEG
-from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
+from ffpose.evaluation.calibration import coverages, summarize_flag, truth_regions
+from ffpose.evaluation.metrics import error_statistics, pose_errors
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
@@ -29,8 +23,7 @@ class Answers(NamedTuple):
 
     def of(self, rows: NDArray[np.bool_]) -> Answers:
         """Select the images of a mask ``rows (N,)``."""
-        places = np.flatnonzero(rows).tolist()
-        return Answers([self.found[i] for i in places], [self.truth[i] for i in places])
+        return Answers(*(list(compress(poses, rows)) for poses in self))
 
     @property
     def uncertainties(self) -> list[PoseUncertainty]:
@@ -52,7 +45,7 @@ def summarize(
     """Return the statistics of images that show the object, answers `folded` by ``symmetry``.
 
     ``images``; ``median_`` and ``mean_`` of the errors in `ffpose.evaluation.metrics.SUMMARIZED`,
-    and ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a
+    ``share_over_30_deg``, ``median_intervals_95``; ``percentile_90_rotation_error_deg``. For a
     network that predicts its uncertainty also coverages of ``translation`` and ``rotation``,
     ``median_sigma_distance_m``, ``median_sigma_rotation_deg``, ``median_in_view``, and with a
     threshold ``flagged``, the share of images below it.
@@ -63,13 +56,10 @@ def summarize(
     if not answers.truth:
         raise ValueError("answers: expected at least one with the truth, got none")
     errors = pose_errors(*map(_vectors, answers))
-    rotation = errors.rotation_deg.numpy()
     return {
-        "images": len(rotation),
-        **{n: float(v) for n, v in summarized(errors).items() if not n.endswith("score")},
-        "median_intervals_95": median_intervals(errors),
-        "percentile_90_rotation_error_deg": float(np.quantile(rotation, 0.9)),
-        f"share_over_{LARGE_DEG:.0f}_deg": float((rotation > LARGE_DEG).mean()),
+        "images": len(answers.truth),
+        **{n: value for n, value in error_statistics(errors).items() if not n.endswith("score")},
+        "percentile_90_rotation_error_deg": float(np.quantile(errors.rotation_deg.numpy(), 0.9)),
         **(_trust(answers, threshold, symmetry) if answers.uncertainties else {}),
     }
 
@@ -78,18 +68,15 @@ def _trust(answers: Answers, threshold: float | None, symmetry: SymmetryGroup) -
     found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
     second = [u.alternative for u in said if u.alternative is not None]
-    other = None
-    if len(second) == len(said):
-        alternative = np.stack(second)
-        nearest = symmetry.nearest(alternative, truth[:, 3:])
-        other = OtherMode(alternative, nearest, np.array([u.probabilities for u in said]))
     regions = truth_regions(
         found,
         truth,
         np.stack([u.translation_covariance for u in said]),
         np.stack([u.rotation_covariance for u in said]),
         said[0].degrees_of_freedom,
-        other,
+        np.stack(second) if second else None,
+        [u.probabilities for u in said],
+        symmetry,
     )
     result: dict[str, Any] = {name: coverages(each) for name, each in regions.items()}
     pairs = zip(answers.found, said, strict=True)
@@ -120,15 +107,10 @@ def refuse(
         [pose.uncertainty.in_view for pose in poses if pose.uncertainty is not None]
         for poses in (with_object, without)
     )
-    result = {
-        "images": len(negative),
-        "median_in_view": float(np.median(negative)),
-        "auroc": auroc(positive, negative),
-    }
-    if threshold is not None:
-        rates = flag_rates(positive, negative, threshold)
-        result["false_alarm_rate"], result["miss_rate"] = rates.false_alarm_rate, rates.miss_rate
-    return result
+    flag = summarize_flag(positive, negative, threshold)
+    flag.pop("threshold", None)
+    median = float(np.median(negative))
+    return {"images": len(negative), "median_in_view": median, **flag}
 
 
 def _vectors(poses: Sequence[Pose]) -> FloatArray:

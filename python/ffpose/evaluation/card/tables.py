@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffpose.render.scene import ALL_ATTITUDES
@@ -11,6 +11,35 @@ Row = Mapping[str, Any]
 
 NONE = "–"
 """Placeholder for a missing value."""
+
+
+def degrees(value: float) -> str:
+    """Return an angle as text."""
+    return f"{value:.2f}°"
+
+
+def meters(value: float) -> str:
+    """Return a length as text."""
+    return f"{value:.2f} m"
+
+
+def percent(share: float) -> str:
+    """Return a share as text."""
+    return f"{100 * share:.1f} %"
+
+
+ERRORS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("E_q", "median_rotation_error_deg", degrees),
+    ("mean", "mean_rotation_error_deg", degrees),
+    ("90 %", "percentile_90_rotation_error_deg", degrees),
+    ("> 30°", "share_over_30_deg", percent),
+    ("in-plane", "median_in_plane_error_deg", degrees),
+    ("out-of-plane", "median_out_of_plane_error_deg", degrees),
+    ("E_t", "median_translation_error_m", meters),
+    ("mean", "mean_translation_error_m", meters),
+    ("E_t/‖t‖", "median_relative_translation_error", percent),
+)
+"""Columns of `errors_table`: header, key of the document, and the value as text."""
 
 
 def format_card(document: Mapping[str, Any]) -> str:
@@ -52,8 +81,7 @@ def errors_table(document: Mapping[str, Any]) -> str:
 
     A row below the first condition shows the bootstrap intervals of its medians.
     """
-    header = ["condition", "in training", "images", "E_q", "mean", "90 %", "> 30°"]
-    header += ["in-plane", "out-of-plane", "E_t", "mean", "E_t/‖t‖"]
+    header = ["condition", "in training", "images", *(name for name, _, _ in ERRORS)]
     first, *others = document["conditions"]
     constant = {"name": "constant pose", **document["mean_pose_baseline"]}
     rows = [_errors(first), _intervals(first), *map(_errors, others), _errors(constant)]
@@ -64,38 +92,17 @@ def errors_table(document: Mapping[str, Any]) -> str:
 
 
 def _errors(row: Row) -> list[str]:
-    return [
-        row["name"],
-        row.get("seen", ""),
-        str(row["images"]),
-        degrees(row["median_rotation_error_deg"]),
-        degrees(row["mean_rotation_error_deg"]),
-        degrees(row["percentile_90_rotation_error_deg"]),
-        percent(row["share_over_30_deg"]),
-        degrees(row["median_in_plane_error_deg"]),
-        degrees(row["median_out_of_plane_error_deg"]),
-        meters(row["median_translation_error_m"]),
-        meters(row["mean_translation_error_m"]),
-        percent(row["median_relative_translation_error"]),
-    ]
+    figures = (show(row[key]) for _, key, show in ERRORS)
+    return [row["name"], row.get("seen", ""), str(row["images"]), *figures]
 
 
 def _intervals(row: Row) -> list[str]:
     """Return the row of bootstrap intervals of the medians in `_errors`."""
-    intervals = row["median_intervals_95"]
-
-    def between(name: str, show: Any) -> str:
-        low, high = intervals[f"median_{name}"]
-        return f"[{show(low)}, {show(high)}]"
-
-    return [
-        *("", "", "", between("rotation_error_deg", degrees), "", "", ""),
-        between("in_plane_error_deg", degrees),
-        between("out_of_plane_error_deg", degrees),
-        between("translation_error_m", meters),
-        "",
-        between("relative_translation_error", percent),
-    ]
+    ends = row["median_intervals_95"]
+    figures = (
+        f"[{', '.join(map(show, ends[key]))}]" if key in ends else "" for _, key, show in ERRORS
+    )
+    return ["", "", "", *figures]
 
 
 def _partly(rows: Sequence[Row]) -> str:
@@ -165,18 +172,3 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def coverage_text(shares: Mapping[str, float]) -> str:
     """Return the coverage of three regions, in percent."""
     return " / ".join(f"{100 * shares[f'coverage_{level}']:.0f}" for level in (50, 90, 99))
-
-
-def degrees(value: float) -> str:
-    """Return an angle as text."""
-    return f"{value:.2f}°"
-
-
-def meters(value: float) -> str:
-    """Return a length as text."""
-    return f"{value:.2f} m"
-
-
-def percent(share: float) -> str:
-    """Return a share as text."""
-    return f"{100 * share:.1f} %"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -13,85 +12,58 @@ from typing import Any
 from ffpose._internal.figures import embedded, jpeg_tag
 from ffpose._internal.files import write_text
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.evaluation.report.plots import (
-    GALLERY_TILE,
-    caption,
-    draw_prediction,
-    error_cdf,
-    error_histograms,
-    errors_by_distance,
-    errors_by_view,
-    predicted_angles,
-    reliability_diagram,
-    training_curves,
-)
-from ffpose.evaluation.report.tables import (
-    conditions_table,
-    correlation_text,
-    figures_table,
-    headline,
-    parts_table,
-    uncertainty_table,
-)
+from ffpose.evaluation.report import plots, tables
 
 GROUP = 8
 """Images of a gallery."""
 
 DISTRIBUTIONS = (
-    (error_cdf, "share of the images below each error, model and mean pose"),
-    (error_histograms, "histograms of the errors, model and mean pose"),
-    (errors_by_distance, "each image's errors over the distance of the spacecraft"),
-    (errors_by_view, "map of the median rotation error over the viewing directions"),
-    (predicted_angles, "predicted roll, pitch and yaw over the true angles"),
+    (plots.error_cdf, "share of the images below each error, model and mean pose"),
+    (plots.error_histograms, "histograms of the errors, model and mean pose"),
+    (plots.errors_by_distance, "each image's errors over the distance of the spacecraft"),
+    (plots.errors_by_view, "map of the median rotation error over the viewing directions"),
+    (plots.predicted_angles, "predicted roll, pitch and yaw over the true angles"),
 )
 """Figures of the errors, with their alternative texts."""
 
 
-@dataclass(frozen=True)
-class Report:
-    """Contents of a report page.
+def write_report(
+    path: Path,
+    evaluation: Evaluation,
+    *,
+    title: str,
+    subtitle: str,
+    history: Sequence[Mapping[str, float | str]],
+    facts: Mapping[str, str],
+    command: str,
+) -> None:
+    """Write the report of an evaluation as one self-contained HTML file.
 
     ``history`` are rows of ``results.csv``, none without training; ``facts`` stand at the end, and
     ``command`` reproduces the report.
     """
-
-    title: str
-    subtitle: str
-    evaluation: Evaluation
-    history: Sequence[Mapping[str, float | str]]
-    facts: Mapping[str, str]
-    command: str
-
-
-def write_report(report: Report, path: Path) -> None:
-    """Write ``report`` as one self-contained HTML file."""
-    template = (
-        resources.files("ffpose.evaluation.report")
-        .joinpath("page.html")
-        .read_text(encoding="utf-8")
-    )
-    evaluation = report.evaluation
+    template = resources.files("ffpose.evaluation.report").joinpath("page.html")
     summary = evaluation.summary()
-    page = Template(template).substitute(
-        title=html.escape(report.title),
-        subtitle=html.escape(report.subtitle),
-        headline=headline(summary),
-        figures=figures_table(summary),
+    page = Template(template.read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        subtitle=html.escape(subtitle),
+        headline=tables.headline(summary),
+        figures=tables.figures_table(summary),
         baseline=html.escape(summary["mean_pose_baseline"]["of"]),
-        parts=parts_table(summary),
-        correlation=html.escape(correlation_text(summary)),
-        conditions=conditions_table(summary),
+        parts=tables.parts_table(summary),
+        correlation=html.escape(tables.correlation_text(summary)),
+        conditions=tables.conditions_table(summary),
         uncertainty=_uncertainty(evaluation, summary),
-        galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
-        training=_training(report.history),
+        galleries=_galleries(evaluation),
+        training=_training(history),
         distributions="".join(
             embedded(draw(evaluation), text, format="svg") for draw, text in DISTRIBUTIONS
         ),
         facts="".join(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-            for name, value in report.facts.items()
+            for name, value in facts.items()
         ),
-        command=html.escape(report.command),
+        command=html.escape(command),
     )
     write_text(path, page)
 
@@ -101,7 +73,7 @@ def _training(history: Sequence[Mapping[str, float | str]]) -> str:
     if not history:
         return ""
     text = "loss and validation errors over the epochs"
-    figure = embedded(training_curves(history), text, format="svg")
+    figure = embedded(plots.training_curves(history), text, format="svg")
     return f"<h2>Training</h2>{figure}"
 
 
@@ -112,26 +84,27 @@ def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
     diagram = ""
     if evaluation.region_probabilities:
         text = "share of the truths in the predicted regions over the regions' probability"
-        diagram = embedded(reliability_diagram(evaluation), text, format="svg")
-    return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
+        diagram = embedded(plots.reliability_diagram(evaluation), text, format="svg")
+    return (
+        f"<h2>Predicted uncertainty</h2><table>{tables.uncertainty_table(summary)}</table>{diagram}"
+    )
 
 
-def _groups(evaluation: Evaluation) -> list[tuple[str, list[int]]]:
+def _galleries(evaluation: Evaluation) -> str:
     ranking = evaluation.ranking.tolist()
-    return [
-        ("The best", ranking[:GROUP]),
-        ("About the median", evaluation.typical(GROUP)),
-        ("The worst", ranking[::-1][:GROUP]),
-    ]
-
-
-def _gallery(evaluation: Evaluation, heading: str, indices: list[int]) -> str:
-    tiles = "".join(_tile(evaluation, index) for index in indices)
-    return f'<h3>{heading}</h3><div class="gallery">{tiles}</div>'
+    groups = {
+        "The best": ranking[:GROUP],
+        "About the median": evaluation.typical(GROUP),
+        "The worst": ranking[::-1][:GROUP],
+    }
+    tiles = {name: "".join(_tile(evaluation, i) for i in chosen) for name, chosen in groups.items()}
+    return "".join(
+        f'<h3>{name}</h3><div class="gallery">{each}</div>' for name, each in tiles.items()
+    )
 
 
 def _tile(evaluation: Evaluation, index: int) -> str:
-    image, text = draw_prediction(evaluation, index), caption(evaluation, index)
-    image.thumbnail(GALLERY_TILE)
+    image, text = plots.draw_prediction(evaluation, index), plots.caption(evaluation, index)
+    image.thumbnail(plots.GALLERY_TILE)
     name = html.escape(evaluation.dataset.names[index])
     return f"<figure>{jpeg_tag(image, text)}<figcaption>{name}: {text}</figcaption></figure>"

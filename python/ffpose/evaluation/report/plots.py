@@ -31,13 +31,7 @@ FAR_DEG = 30.0
 
 
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
-    """Plot loss and validation errors over the epochs, rows of ``results.csv``.
-
-    Raises:
-        ValueError: ``history`` is empty.
-    """
-    if not history:
-        raise ValueError("training curves: expected at least one epoch, got none")
+    """Plot loss and validation errors over the epochs, rows of ``results.csv``."""
     figure = new_figure(10.5, 2.9)
     epochs = [float(row["epoch"]) for row in history]
     panels = (
@@ -111,10 +105,7 @@ def errors_by_view(evaluation: Evaluation) -> Figure:
     longitude = np.arctan2(seen_from[:, 1], seen_from[:, 0])
     height = np.clip(seen_from[:, 2], -1, 1)
     edges = np.linspace(-np.pi, np.pi, MAP_CELLS[1] + 1), np.linspace(-1, 1, MAP_CELLS[0] + 1)
-    column, row = (
-        np.clip(np.searchsorted(each, values, side="right") - 1, 0, len(each) - 2)
-        for each, values in zip(edges, (longitude, height), strict=True)
-    )
+    column, row = np.digitize(longitude, edges[0][1:-1]), np.digitize(height, edges[1][1:-1])
     medians = np.full(MAP_CELLS, np.nan)
     for cell in {*zip(row.tolist(), column.tolist(), strict=True)}:
         medians[cell] = np.median(errors[(row == cell[0]) & (column == cell[1])])
@@ -155,13 +146,7 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
 
 
 def reliability_diagram(evaluation: Evaluation) -> Figure:
-    """Plot the coverage of confidence regions over their probability; diagonal if calibrated.
-
-    Raises:
-        ValueError: The evaluation holds no covariance.
-    """
-    if not evaluation.region_probabilities:
-        raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
+    """Plot the coverage of confidence regions over their probability; diagonal if calibrated."""
     figure = new_figure(4.6, 4.2)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")
@@ -189,7 +174,8 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
     truth = dataset.to_pose(evaluation.truth[index])  # of one look's, the nearest
     length = evaluation.axis_m
     image = draw_axes(image, truth, camera, length, TRUTH_COLORS, wide)
-    return draw_axes(image, evaluation.pose(index), camera, length, width=max(2, wide // 3))
+    found = dataset.to_pose(evaluation.predicted[index])
+    return draw_axes(image, found, camera, length, width=max(2, wide // 3))
 
 
 def caption(evaluation: Evaluation, index: int) -> str:
@@ -202,7 +188,7 @@ def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) ->
     """Draw predictions on their images, with their errors."""
     rows = -(-len(indices) // columns)
     figure = new_figure(3.0 * columns, 2.5 * rows)
-    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid:
         axes.set_axis_off()
     for axes, index in zip(grid, indices, strict=False):
@@ -215,8 +201,8 @@ def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) ->
     return figure
 
 
-def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
-    """Write all figures of an evaluation to the folder ``out`` and return their paths."""
+def write_evaluation_figures(evaluation: Evaluation, out: Path) -> None:
+    """Write all figures of an evaluation to the folder ``out``."""
     figures: dict[str, Callable[[Evaluation], Figure]] = {
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
@@ -229,7 +215,6 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
         figures["reliability.png"] = reliability_diagram
     for name, draw in figures.items():
         save_figure(draw(evaluation), out / name)
-    return [out / name for name in figures]
 
 
 def _error_panels(

@@ -15,13 +15,19 @@ from ffpose.geometry import POSE_COLUMNS, FloatArray
 def format_table(summary: dict[str, Any]) -> str:
     """Format the metrics of `Evaluation.summary` as a text table: name, model, baseline."""
     baseline = summary["mean_pose_baseline"]
-    lines = [f"{summary['images']} images".ljust(34) + "model".rjust(12) + "mean pose".rjust(12)]
-    for name, value in baseline.items():
-        if isinstance(value, float):
-            lines.append(f"{name:34}{summary[name]:12.4f}{value:12.4f}")
-    for name, value in summary.get("without_symmetry", {}).items():
-        if isinstance(value, float):
-            lines.append(f"{f'{name}, no symmetry':34}{value:12.4f}")
+    rows = [
+        (name, f"{summary[name]:12.4f}{value:12.4f}")
+        for name, value in baseline.items()
+        if isinstance(value, float)
+    ]
+    rows += [
+        (f"{name}, no symmetry", f"{value:12.4f}")
+        for name, value in summary.get("without_symmetry", {}).items()
+        if isinstance(value, float)
+    ]
+    width = max(34, *(len(name) for name, _ in rows))
+    lines = [f"{summary['images']} images".ljust(width) + "model".rjust(12) + "mean pose".rjust(12)]
+    lines += [name.ljust(width) + values for name, values in rows]
     lines.append(f"mean pose: of {baseline['of']}")
     return "\n".join(lines)
 

@@ -73,36 +73,32 @@ def _card(summary: Summary, key: str, name: str, unit: str) -> str:
 
 def figures_table(summary: Summary) -> str:
     """Return the table of metrics of model and baseline."""
-    rows = []
+    rows = _compared(summary)
+    plain = summary.get("without_symmetry", {})
     for key, name, unit in ROWS:
-        rows.append(_compared(name, unit, summary[key], summary["mean_pose_baseline"][key]))
-    if plain := summary.get("without_symmetry"):
-        for key, name, unit in ROWS:
-            if key in plain:
-                told = f"{name}, without regard to symmetry"
-                rows.append((told, f"{plain[key]:.3f} {unit}", "", ""))
+        if key in plain:
+            told = f"{name}, without regard to symmetry"
+            rows.append((told, f"{plain[key]:.3f} {unit}", "", ""))
     for each in summary.get("modulo_unfolded", []):
         group = SymmetryGroup.from_json(each["axes"])
-        for key, name, unit in ROWS:
-            if key in each:
-                told = f"{name}, modulo {group}, which is not folded"
-                rows.append(_compared(told, unit, each[key], each["mean_pose_baseline"][key]))
+        rows += _compared(each, f", modulo {group}, which is not folded")
     return _table(("", "model", "mean pose", "ratio"), rows)
 
 
-def _compared(name: str, unit: str, model: float, baseline: float) -> tuple[str, ...]:
-    ratio = f"{model / baseline:.2f}" if baseline > 0 else "–"
-    return name, f"{model:.3f} {unit}", f"{baseline:.3f} {unit}", ratio
+def _compared(metrics: Summary, suffix: str = "") -> list[tuple[str, ...]]:
+    """Return a row for each of `ROWS` that there is, with the constant pose's beside."""
+    rows: list[tuple[str, ...]] = []
+    for key, name, unit in ROWS:
+        if key in metrics:
+            model, baseline = metrics[key], metrics["mean_pose_baseline"][key]
+            ratio = f"{model / baseline:.2f}" if baseline > 0 else "–"
+            rows.append((name + suffix, f"{model:.3f} {unit}", f"{baseline:.3f} {unit}", ratio))
+    return rows
 
 
 def parts_table(summary: Summary) -> str:
     """Return the table of the rotation error and its parts, with baseline and oracles."""
-    oracles = summary["oracles"]
-    others = (
-        summary["mean_pose_baseline"],
-        oracles["in_plane_known"],
-        oracles["out_of_plane_known"],
-    )
+    others = summary["mean_pose_baseline"], *summary["oracles"].values()
     rows = []
     for key, name in PARTS:
         low, high = summary["median_intervals_95"][key]
