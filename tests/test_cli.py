@@ -691,6 +691,15 @@ def test_a_closed_standard_output_is_one_line():
     assert (done.returncode, done.stderr) == (1, expected)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no /dev/full")
+@pytest.mark.parametrize("words", ["info", "info --json", "predict soyuz none.png --json"])
+def test_results_that_find_no_room_are_one_line(words):
+    call = f"{shlex.quote(sys.executable)} -m ffpose.cli {words} > /dev/full"
+    done = subprocess.run(["sh", "-c", call], capture_output=True, text=True, check=False)
+    expected = "ffpose: [Errno 28] No space left on device\n"
+    assert (done.returncode, done.stderr) == (1, expected)
+
+
 def test_width_and_height():
     assert width_and_height("640x480") == (640, 480)
 
