@@ -48,14 +48,9 @@ def translate_attention(
         op.Reshape(op.Transpose(part, perm=[0, 2, 1, 3]), op.Constant(value_ints=[0, 0, -1]))
         for part in (query, key, value)
     ]
-    attention = script_op(
-        ATTENTION,
-        DOMAIN,
-        DOMAIN_VERSION,
-        ("query", "key", "value"),
-        (("query", ("float",)),),
-        (("num_heads", "INT"), ("scale", "FLOAT")),
-    )
+    names, kinds = ("query", "key", "value"), (("query", ("float",)),)
+    settings = (("num_heads", "INT"), ("scale", "FLOAT"))
+    attention = script_op(ATTENTION, DOMAIN, DOMAIN_VERSION, names, kinds, settings)
     scale = 1 / math.sqrt(query.shape[3]) if scale is None else scale
     mixed = attention(*tokens, num_heads=heads, scale=scale)
     shape = op.Constant(value_ints=[0, 0, heads, channels])

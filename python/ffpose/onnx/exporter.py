@@ -173,8 +173,7 @@ def write_graph(
     the first of which is exported with; ``entries``, the file's metadata for how the graph computes
     its filters; ``differences``, which compares outputs of graph and module by name; and ``say``.
     """
-    if filter not in get_args(FilterChoice):
-        raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
+    expect(filter in get_args(FilterChoice), "filter", f"one of {get_args(FilterChoice)}", filter)
     expect_place(Path(path))
     for name, child in module.named_modules(prefix="module"):
         if child.training:
@@ -381,24 +380,19 @@ def _compare(
 ) -> dict[str, float]:
     """Return the largest difference of each output over all batches."""
     session = open_session(path, kind)
-
-    def compared(args: tuple[Tensor, ...]) -> Mapping[str, float]:
-        got = session.run(*(arg.detach().numpy() for arg in args))
-        return differences(got, dict(zip(got, _outputs(module, args), strict=True)))
-
-    return _largest_of(map(compared, batches))
+    runs = ((args, session.run(*(arg.detach().numpy() for arg in args))) for args in batches)
+    return _largest_of(
+        differences(got, dict(zip(got, _outputs(module, args), strict=True))) for args, got in runs
+    )
 
 
 def _expect_repeatable(
     module: nn.Module, batches: Sequence[tuple[Tensor, ...]], tolerance: float
 ) -> None:
     """Refuse a module that gives something else when it is run again, as one that draws numbers."""
-
-    def run(args: tuple[Tensor, ...]) -> Outputs:
-        return {str(place): values for place, values in enumerate(_outputs(module, args))}
-
-    apart = _largest_of(relative_differences(run(args), run(args)) for args in batches)
-    largest = max(apart.values(), default=0.0)
+    runs = ([_outputs(module, args) for _ in range(2)] for args in batches)
+    apart = [_relative(*pair) for both in runs for pair in zip(*both, strict=True)]
+    largest = float(np.max(apart, initial=0.0))
     if not largest <= tolerance:
         raise ValueError(
             "module: expected one that gives the same result twice, got a difference of"

@@ -52,7 +52,7 @@ def quantize(
     Raises:
         RuntimeError: No node can be quantized.
     """
-    onnx, tools = require("onnx", "export"), require("onnxruntime.quantization", "export")
+    onnx, kinds = require("onnx", "export"), require("onnxruntime.quantization", "export").QuantType
     wanted = {
         node.name
         for node in onnx.load(str(graph)).graph.node
@@ -81,8 +81,8 @@ def quantize(
         model,
         per_channel=True,
         reduce_range=False,
-        weight_qType=tools.QuantType.QInt8,
-        activation_qType=tools.QuantType.QUInt8,
+        weight_qType=kinds.QInt8,
+        activation_qType=kinds.QUInt8,
         tensors_range=_ranges(folded, out.with_name("observed.onnx"), filter, name, inputs),
         nodes_to_quantize=nodes + fused,
         nodes_to_exclude=[],

@@ -40,8 +40,7 @@ class Nodes:
 
     def integers(self, values: Sequence[int]) -> Any:
         """Return a constant of int64."""
-        name = "_".join(["integers", *map(str, values)])
-        return self.constant(np.array(values, np.int64), name)
+        return self.constant(np.array(values, np.int64), "_".join(["integers", *map(str, values)]))
 
     def constant(self, values: NDArray[Any], name: str) -> Any:
         """Return the initializer of this name, made where there is none yet."""
@@ -75,16 +74,15 @@ def script_op(
     version: int,
     inputs: tuple[str, ...],
     types: tuple[tuple[str, tuple[str, ...]], ...],
-    attributes: tuple[tuple[str, str], ...],
+    attributes: tuple[tuple[str, str], ...] = (),
 ) -> Any:
     """Return an operator, as onnxscript calls it, whose output has the type of its first input.
 
     ``types`` has, by input, the element types that it may have; inputs that are not named have the
     first's. Attributes are names and types, as ``("scale", "FLOAT")``.
     """
-    schemas = require("onnx.defs", "export")
+    schema = require("onnx.defs", "export").OpSchema
     values = require("onnxscript", "export").values
-    schema = schemas.OpSchema
     named = dict(types)
     parameters = [
         schema.FormalParameter(part, part if part in named else inputs[0]) for part in inputs
