@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose, poses
 from ffpose.imaging.images import check_white, read_rgb
 from ffpose.imaging.reprojection import expect_aspect, for_images
@@ -149,12 +150,11 @@ class PoseEstimator:
             ValueError: A shape is not as above, a number is not finite, a point is not in front of
                 the camera, or there are points and the network's single look was not opened.
         """
-        expected = (3, *self.preprocessing.size)
+        height, width = self.preprocessing.size
         if inputs.dtype != np.float32:
             raise TypeError(f"inputs: expected float32, got {inputs.dtype}")
-        if inputs.ndim != 4 or inputs.shape[1:] != expected:
-            sizes = ", ".join(map(str, expected))
-            raise ValueError(f"inputs: expected shape (B, {sizes}), got {inputs.shape}")
+        fits = inputs.ndim == 4 and inputs.shape[1:] == (3, height, width)
+        expect(fits, "inputs", f"shape (B, 3, {height}, {width})", inputs.shape)
         if not np.isfinite(inputs).all():
             raise ValueError("inputs: expected finite numbers, got NaN or infinity")
         if points is None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose._internal.locks import fork_safe_lock
+from ffpose.errors import expect
 from ffpose.models import find_device
 
 
@@ -30,8 +31,7 @@ class TorchSession:
     """
 
     def __init__(self, model: nn.Module, device: str = "auto", threads: int | None = None) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads: expected at least 1, got {threads}")
+        expect(threads is None or threads >= 1, "threads", "at least 1", threads)
         self.device = find_device(device)
         self.model = model.eval().to(self.device)
         self.threads = threads
