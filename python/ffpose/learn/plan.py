@@ -234,12 +234,9 @@ def default_distances(reach_m: float, camera: Camera) -> tuple[float, float]:
         >>> round(near, 1), round(far, 1)
         (9.5, 50.4)
     """
-    slopes = (
-        min(camera.cx, camera.width - camera.cx) / camera.fx,
-        min(camera.cy, camera.height - camera.cy) / camera.fy,
-    )
+    across = min(camera.cx, camera.width - camera.cx) / camera.fx
+    slope = min(across, min(camera.cy, camera.height - camera.cy) / camera.fy)
     near, far = 2 * reach_m * NEAR_DIAMETERS, 2 * reach_m * FAR_DIAMETERS
-    slope = min(slopes)
     fits = ROOM_IN_VIEW * reach_m * math.hypot(1, slope) / slope if slope > 0 else near
     farther = max(1.0, fits / near)
     return near * farther, far * farther
