@@ -57,12 +57,10 @@ def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
 
 def _sync(path: Path) -> None:
     """Flush a file's contents, or a folder's entries, to disk; Windows opens no folder."""
-    windows = os.name == "nt"
+    windows = os.name == "nt"  # which flushes writers alone
     if windows and path.is_dir():
         return
-    descriptor = os.open(
-        path, os.O_RDWR if windows else os.O_RDONLY
-    )  # Windows flushes writers alone
+    descriptor = os.open(path, os.O_RDWR if windows else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -71,13 +69,9 @@ def _sync(path: Path) -> None:
 
 def same_place(one: object, other: object) -> bool:
     """Return whether two values are equal, or paths of one file however they are written."""
-    if one == other:
-        return True
-    return (
-        isinstance(one, str | Path)
-        and isinstance(other, str | Path)
-        and (Path(one).resolve() == Path(other).resolve())
-    )
+    if isinstance(one, str | Path) and isinstance(other, str | Path):
+        return Path(one).resolve() == Path(other).resolve()
+    return one == other
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -12,6 +12,8 @@ Two sets of one seed have the same attitudes and light, so they are no independe
 
 from __future__ import annotations
 
+from ffpose.errors import expect
+
 TRAINING = range(1_000_000)
 """Seeds of training images; a configuration's ``data.seed`` is one of these."""
 
@@ -46,8 +48,5 @@ def refuse_final(seed: int) -> None:
     Raises:
         ValueError: It is one of `FINAL`.
     """
-    if seed in FINAL:
-        raise ValueError(
-            f"seed: expected none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final"
-            f" alone renders, got {seed}"
-        )
+    others = f"none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final alone renders"
+    expect(seed not in FINAL, "seed", others, seed)

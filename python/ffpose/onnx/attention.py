@@ -16,7 +16,6 @@ from ffpose.errors import require
 from ffpose.onnx.nodes import Nodes, nodes_of, script_op
 
 DOMAIN = "com.microsoft"
-DOMAIN_VERSION = 1
 ATTENTION = "MultiHeadAttention"
 
 
@@ -50,7 +49,7 @@ def translate_attention(
     ]
     names, kinds = ("query", "key", "value"), (("query", ("float",)),)
     settings = (("num_heads", "INT"), ("scale", "FLOAT"))
-    attention = script_op(ATTENTION, DOMAIN, DOMAIN_VERSION, names, kinds, settings)
+    attention = script_op(ATTENTION, DOMAIN, names, kinds, settings)
     scale = 1 / math.sqrt(query.shape[3]) if scale is None else scale
     mixed = attention(*tokens, num_heads=heads, scale=scale)
     shape = op.Constant(value_ints=[0, 0, heads, channels])

@@ -11,7 +11,7 @@ import contextlib
 import copy
 import io
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -325,9 +325,8 @@ def _expect_names(
     if len(names) > most:
         raise ValueError(f"{name}: expected at most {most}, got {', '.join(names)}")
     if len({*taken, *names}) < len(taken) + len(names):
-        raise ValueError(
-            f"{name}: expected names of one value each, got {', '.join((*taken, *names))}"
-        )
+        got = ", ".join((*taken, *names))
+        raise ValueError(f"{name}: expected names of one value each, got {got}")
 
 
 def halve(model: Any) -> None:
@@ -403,24 +402,20 @@ def _expect_repeatable(
 def _rounding(
     module: nn.Module,
     batches: Sequence[tuple[Tensor, ...]],
-    names: Iterable[str],
+    names: Collection[str],
     differences: Callable[[Outputs, Outputs], Mapping[str, float]],
 ) -> dict[str, float]:
     """Return the largest difference of each output from float64's; 0 where that cannot be run."""
-    exact, names = copy.deepcopy(module).double(), list(names)
-
-    def named(module: nn.Module, args: Iterable[Tensor]) -> Outputs:
-        return dict(zip(names, _outputs(module, args), strict=True))
-
-    def doubled(args: Iterable[Tensor]) -> list[Tensor]:
-        return [arg.double() if arg.is_floating_point() else arg for arg in args]
-
+    exact = copy.deepcopy(module).double()
+    found = []
     try:
-        return _largest_of(
-            differences(named(module, args), named(exact, doubled(args))) for args in batches
-        )
+        for args in batches:
+            doubled = [arg.double() if arg.is_floating_point() else arg for arg in args]
+            both = _outputs(module, args), _outputs(exact, doubled)
+            found.append(differences(*(dict(zip(names, each, strict=True)) for each in both)))
     except (RuntimeError, TypeError):  # of a type written into the module
         return dict.fromkeys(names, 0.0)
+    return _largest_of(found)
 
 
 def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
@@ -433,10 +428,8 @@ def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
 
 def _expect_dtype(name: str, tensor: Tensor) -> None:
     if tensor.dtype not in DTYPES:
-        raise TypeError(
-            f"{name}: expected float16, float32 or float64, whole numbers or bool, got"
-            f" {tensor.dtype}"
-        )
+        known = "float16, float32 or float64, whole numbers or bool"
+        raise TypeError(f"{name}: expected {known}, got {tensor.dtype}")
 
 
 def _largest_of(differences: Iterable[Mapping[str, float]]) -> dict[str, float]:

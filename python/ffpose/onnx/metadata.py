@@ -29,7 +29,7 @@ from typing import Any, Literal, get_args
 
 from ffpose import __version__
 from ffpose.config import NetworkConfig, config_type
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
@@ -124,8 +124,7 @@ class ModelMetadata:
         }
         told: dict[str, Any] = {"precision": "float32", "locates": "object", **entries}
         for name, known in choices.items():
-            if told[name] not in known:
-                raise ValueError(f"{name}: expected one of {known}, got {told[name]!r}")
+            expect(told[name] in known, name, f"one of {known}", told[name])
         camera = json.loads(entries["camera"])
         decoding = json.loads(entries.get("decoding", "{}"))
         if decoding.get("distortion") is not None:
