@@ -36,7 +36,8 @@ def translate_attention(
     script = require("onnxscript", "export")
     known = len(query.shape) == 4 and all(isinstance(query.shape[axis], int) for axis in (1, 3))
     plain = attn_mask is None and not (dropout_p or is_causal or enable_gqa)
-    if not (plain and known and query.dtype == script.ir.DataType.FLOAT):
+    alike = known and query.shape[1] == key.shape[1] == value.shape[1]
+    if not (plain and alike and query.dtype == script.ir.DataType.FLOAT):
         torch_lib = require("onnxscript.function_libs.torch_lib.ops.nn", "export")
         return torch_lib.aten_scaled_dot_product_attention(
             query, key, value, attn_mask, dropout_p, is_causal, scale, enable_gqa
