@@ -8,6 +8,7 @@ import sys
 import warnings
 from contextlib import redirect_stdout
 from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -654,6 +655,20 @@ def test_a_terminated_track_keeps_what_it_has(tmp_path):
     terminate("ffpose.tracking.follow", "predict", 4, words)
     lines = (tmp_path / "out/trajectory.csv").read_text().splitlines()
     assert [line.split(",")[0] for line in lines] == ["time", "0.0", "1.0", "2.0"]
+
+
+def test_a_track_of_the_folder_at_hand_has_its_name(tmp_path, monkeypatch):
+    (tmp_path / "tumble").mkdir()
+    monkeypatch.chdir(tmp_path / "tumble")
+    Image.new("RGB", (64, 48)).save("0.png")
+    (tmp_path / "tumble/frames.csv").write_text("image,time\n0.png,0\n")
+    estimator, titles = SimpleNamespace(near=None, metadata=None), []
+    monkeypatch.setattr("ffpose.inference.load.load", lambda *_, **__: estimator)
+    monkeypatch.setattr("ffpose.tracking.tracker.read_settings", lambda *_: None)
+    run = "ffpose.tracking.follow.run"
+    monkeypatch.setattr(run, lambda *_, title, **__: titles.append(title) or [])
+    assert main(["track", "soyuz", ".", "--out", "out"]) == 0
+    assert titles == ["tumble, tracked by soyuz"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a process at once")

@@ -42,15 +42,7 @@ TRAINED_DEMO = 500
 SECONDS, RATE = 120.0, 2.0
 """Length of a rendered motion, and its frames a second, if nobody says otherwise."""
 
-POSE_PACKAGES = (
-    "torch",
-    "torchvision",
-    "torchmetrics",
-    "timm",
-    "roma",
-    "safetensors",
-    "matplotlib",
-)
+POSE = ("torch", "torchvision", "torchmetrics", "timm", "roma", "safetensors", "matplotlib")
 """What the extra [pose] brings and [onnx,render] do not."""
 
 
@@ -145,7 +137,7 @@ def demo(options: Namespace) -> None:
 
     Without the extra [pose] the shipped graph poses fewer images, and the report is a gallery.
     """
-    missing = [package for package in POSE_PACKAGES if find_spec(package) is None]
+    missing = [package for package in POSE if find_spec(package) is None]
     if missing and options.train:
         raise MissingExtraError.of(missing[0], "pose,render")
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
@@ -262,7 +254,7 @@ def chosen_scene(options: Namespace, name: str) -> Scene:
     from ffpose.render import Randomization, find_scene
 
     limits = options.attitude_range
-    scene = find_scene(name, tuple(limits) if limits else None)
+    scene = find_scene(name, limits and tuple(limits))
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     return replace(
         scene,
@@ -513,7 +505,7 @@ def predict(options: Namespace) -> None:
     if options.overlay is not None:
         expect_writable(options.overlay)
         expect_distinct_overlays(images, options.overlay)
-    named = None if options.camera is None else Camera.read(options.camera)
+    named = options.camera and Camera.read(options.camera)
     estimator = load(
         options.weights,
         camera=named or (None if options.resize else camera_beside(images)),
@@ -585,7 +577,7 @@ def track(options: Namespace) -> None:
     settings = read_settings(options.settings, estimator.metadata)
     if estimator.near is None and not options.whole:
         say("each frame is searched as a whole: no single look (ffpose export --track)")
-    title = f"{options.images.name}, tracked by {options.weights.name}"
+    title = f"{options.images.absolute().name}, tracked by {options.weights.absolute().name}"
     followed = run_track(estimator, frames, options.out, settings=settings, title=title)
     accepted = sum(each.step.accepted for each in followed)
     say(f"{options.out / TRAJECTORY}: {len(followed)} frames, {accepted} accepted")
@@ -775,9 +767,8 @@ def card(options: Namespace) -> None:
 
     if options.final and options.seed != CHOICES.start:
         raise ValueError(f"seed: expected none with --final, got {options.seed}")
-    for folder in (options.images, options.out):
-        if folder is not None:
-            expect_writable(folder)
+    for folder in filter(None, (options.images, options.out)):
+        expect_writable(folder)
     document = measure(
         options.weights,
         options.scene,

@@ -43,10 +43,6 @@ def matching(purpose: range, seed: int) -> int:
 
 
 def refuse_final(seed: int) -> None:
-    """Check that a seed is none of the final figures'.
-
-    Raises:
-        ValueError: It is one of `FINAL`.
-    """
+    """Raise a ValueError for a seed of the final figures."""
     others = f"none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final alone renders"
     expect(seed not in FINAL, "seed", others, seed)

@@ -34,11 +34,7 @@ def resolve(path_or_name: str | Path, suffix: str = WEIGHTS) -> Path:
 
 
 def resolve_initial(path_or_name: str | Path) -> Path:
-    """Return the path of weights that a training starts from, as `resolve`; `INITIAL` has more.
-
-    Raises:
-        FileNotFoundError: As `resolve`.
-    """
+    """Return the path of weights that a training starts from, as `resolve`; `INITIAL` has more."""
     return _resolved(path_or_name, [FOLDER, INITIAL], WEIGHTS, "init")
 
 
