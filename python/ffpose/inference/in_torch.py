@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
@@ -38,7 +39,9 @@ class TorchSession:
 
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the network's outputs by name, for its inputs in order."""
-        tensors = [torch.from_numpy(each).to(self.device) for each in inputs]
+        # Torch takes no arrays of negative strides, and warns of those that are read-only.
+        arrays = [np.require(each, requirements=["C", "W"]) for each in inputs]
+        tensors = [torch.from_numpy(each).to(self.device) for each in arrays]
         with torch_threads(self.threads), torch.inference_mode():
             outputs = self.model(*tensors)._asdict()
         return {name: values.cpu().numpy() for name, values in outputs.items()}
