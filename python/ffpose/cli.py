@@ -173,11 +173,7 @@ def mesh_arguments() -> Arguments:
 
 
 def expect_no_mesh(options: Namespace) -> None:
-    """Check that nothing is to mend a mesh where there is none.
-
-    Raises:
-        ValueError: An option of `mesh_arguments` is not at its default.
-    """
+    """Raise a ValueError if one of `mesh_arguments` is not at its default."""
     for option, (_, default, _) in mesh_arguments().items():
         name = option.removeprefix("--")
         if options[name.replace("-", "_")] != default:
@@ -591,16 +587,13 @@ def inference_fields(options: Namespace) -> dict[str, Any]:
 def export_arguments() -> Arguments:
     """Return the arguments of `export`."""
     filters = "filters by ffpose's operator, or by standard ones alone"
+    track = "write the single look of a track too, X.track.onnx beside X.onnx"
     return {
         "weights": (Path, ..., "weights, or a name such as soyuz"),
         "--out": (Path, ..., "ONNX file to write"),
         "--filter": ({"choices": ["custom", "matmul"]}, "custom", filters),
         **LOOKS,
-        "--track": (
-            bool,
-            False,
-            "write the single look of a track too, X.track.onnx beside X.onnx",
-        ),
+        "--track": (bool, False, track),
         "--int8": (bool, False, "convolutions and matrix products in 8 bits"),
         "--calibrate": (Path, None, "folder of typical images, unlabeled; with --int8"),
     }
@@ -924,11 +917,7 @@ def plain_help(formatter: type[argparse.HelpFormatter]) -> type[argparse.HelpFor
 
 
 def build_parser(name: str) -> ArgumentParser:
-    """Return the parser of one command's arguments.
-
-    Raises:
-        MissingExtraError: The extra that the command needs is not installed.
-    """
+    """Return the parser of one command's arguments; a MissingExtraError without its extra."""
     command = COMMANDS[name]
     jsonargparse = require("jsonargparse", command.extra)
 
@@ -947,11 +936,7 @@ def build_parser(name: str) -> ArgumentParser:
 
 
 def words_of(name: str, words: Sequence[str]) -> list[str]:
-    """Return the words of a command as its parser takes them.
-
-    Raises:
-        argparse.ArgumentError: An option is spelled in another style.
-    """
+    """Return the words of a command as its parser takes them; an ArgumentError if misspelled."""
     if name in ("train", "calibrate"):
         from ffpose.training.options import read_words
 

@@ -205,11 +205,7 @@ def overlay_path(image: Path, folder: Path) -> Path:
 
 
 def expect_axes(estimator: PoseEstimator) -> None:
-    """Check in advance that there is an object to draw axes on, and a camera to project them.
-
-    Raises:
-        ValueError: The network locates the camera, or the images' camera is not known.
-    """
+    """Raise a ValueError if there is no object to draw axes on, or no camera to project them."""
     found = estimator.metadata.locates
     expect(found == "object", "overlay", "weights that locate an object", found)
     if estimator.camera is None:
@@ -217,11 +213,7 @@ def expect_axes(estimator: PoseEstimator) -> None:
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
-    """Check in advance that no overlay would overwrite another, or an image.
-
-    Raises:
-        ValueError: One would; the message says which.
-    """
+    """Raise a ValueError if an overlay would overwrite another, or an image."""
     first: dict[Path, Path] = {}
     known = {image.resolve() for image in images}
     for image in images:
