@@ -312,6 +312,12 @@ def test_inspect_mends_no_set(image_set, tmp_path, capsys):
     assert "mesh-center: expected with a mesh, got none" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", ["", "craft.obj --data.undistort", "craft.obj --data.white 4095"])
+def test_inspect_takes_a_mesh_or_a_set(words, tmp_path, capsys):
+    assert main(["inspect", *words.split(), "--out", str(tmp_path)]) == 2
+    assert "mesh: expected a mesh file, or --data.kind and" in capsys.readouterr().err
+
+
 def test_render_writes_images(tmp_path):
     words = ["render", "soyuz_easy", "--out", str(tmp_path), "--count", "2", "--size", "64x48"]
     assert main(words) == 0

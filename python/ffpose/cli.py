@@ -668,7 +668,8 @@ def inspect(options: Namespace) -> None:
 
     expect_writable(options.out)
     data = options.data
-    if (options.mesh is None) == (data.kind is None and data.root is None):
+    of_set = any(data[name] for name in ("kind", "root", "undistort", "white"))
+    if of_set == (options.mesh is not None):
         raise ValueError("mesh: expected a mesh file, or --data.kind and --data.root")
     if options.mesh is not None:
         inspect_mesh(options)
