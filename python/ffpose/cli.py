@@ -54,13 +54,12 @@ The type bool makes a switch, and an ellipsis for a default one that must be giv
 
 
 class Command(NamedTuple):
-    """A command: one-line summary, arguments, function, the extra that it needs, more arguments."""
+    """A command: one-line summary, arguments, function, and the extra that it needs."""
 
     summary: str
     arguments: Callable[[], Arguments]
     run: Callable[[Namespace], None]
     extra: str = "pose"
-    add_fields: Callable[[ArgumentParser], None] = lambda _: None
 
 
 def width_and_height(text: str) -> tuple[int, int]:
@@ -324,7 +323,7 @@ def render_motion(options: Namespace) -> None:
 
 
 def train_arguments() -> Arguments:
-    """Return the arguments of `train` but for those that `train_fields` declares."""
+    """Return the arguments of `train` but for those of `declare_fields`."""
     from ffpose.training import configs
 
     names = ", ".join(configs.names())
@@ -333,13 +332,6 @@ def train_arguments() -> Arguments:
         "--config": ({"action": "config"}, None, text),
         "--resume": (bool, False, "resume the run in --out; begin one where there is none"),
     }
-
-
-def train_fields(parser: ArgumentParser) -> None:
-    """Declare the fields of a training's configuration."""
-    from ffpose.training.options import add_fields
-
-    add_fields(parser)
 
 
 def train(options: Namespace) -> None:
@@ -783,21 +775,13 @@ def card(options: Namespace) -> None:
 
 
 def calibrate_arguments() -> Arguments:
-    """Return the arguments of `calibrate` but for its images."""
+    """Return the arguments of `calibrate` but for those of `declare_fields`."""
     out = "file to write (default: the weights file; of weights by name there is none)"
     return {
         "weights": (Path, ..., "weights file, or a name such as soyuz"),
         "--out": (Path, None, out),
         "--json": (bool, False, "print what was found as JSON"),
     }
-
-
-def calibrate_fields(parser: ArgumentParser) -> None:
-    """Declare the images that `calibrate` takes."""
-    from ffpose.training.config import CalibrationImages
-
-    parser.add_class_arguments(CalibrationImages, "data")
-    restyle(parser)
 
 
 def calibrate(options: Namespace) -> None:
@@ -875,14 +859,12 @@ COMMANDS = {
     "learn": Command(
         "train a network for your own mesh", learn_arguments, learn, "pose,render,export"
     ),
-    "train": Command("train a model", train_arguments, train, "pose", train_fields),
+    "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict, "onnx"),
     "track": Command("track a spacecraft through a sequence", track_arguments, track),
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
-    "calibrate": Command(
-        "calibrate weights", calibrate_arguments, calibrate, "pose,render", calibrate_fields
-    ),
+    "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "inspect": Command("check a set of images, or a mesh (render)", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
@@ -930,10 +912,23 @@ def build_parser(name: str) -> ArgumentParser:
         exit_on_error=False,  # wrong usage is reported in one line
         print_config="--print-config",
     )
-    command.add_fields(parser)
+    declare_fields(parser, name)
     declare(parser, command.arguments())
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
+
+
+def declare_fields(parser: ArgumentParser, name: str) -> None:
+    """Declare the fields of a configuration, which `train` and `calibrate` take."""
+    if name == "train":
+        from ffpose.training.options import add_fields
+
+        add_fields(parser)
+    elif name == "calibrate":
+        from ffpose.training.config import CalibrationImages
+
+        parser.add_class_arguments(CalibrationImages, "data")
+        restyle(parser)
 
 
 def words_of(name: str, words: Sequence[str]) -> list[str]:

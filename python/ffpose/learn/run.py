@@ -236,8 +236,7 @@ def _learn(
     scene = scene_file.scene()
     record = _Record.open(config, scene.build().name)
     initial = _initial(config.init)
-    planned = record.plans is not None
-    symmetries = None if planned else find_symmetries(scene.build())
+    symmetries = find_symmetries(scene.build()) if record.plans is None else None
     group = SymmetryGroup.chosen(config.symmetry)
     config.out.mkdir(parents=True, exist_ok=True)
     if not there:
