@@ -8,6 +8,7 @@ import sys
 import warnings
 from contextlib import redirect_stdout
 from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -309,6 +310,12 @@ def test_inspect_mends_no_set(image_set, tmp_path, capsys):
     words = ["inspect", *data_words(image_set), "--mesh-center", "--out", str(tmp_path)]
     assert main(words) == 2
     assert "mesh-center: expected with a mesh, got none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["", "craft.obj --data.undistort", "craft.obj --data.white 4095"])
+def test_inspect_takes_a_mesh_or_a_set(words, tmp_path, capsys):
+    assert main(["inspect", *words.split(), "--out", str(tmp_path)]) == 2
+    assert "mesh: expected a mesh file, or --data.kind and" in capsys.readouterr().err
 
 
 def test_render_writes_images(tmp_path):
@@ -656,6 +663,20 @@ def test_a_terminated_track_keeps_what_it_has(tmp_path):
     assert [line.split(",")[0] for line in lines] == ["time", "0.0", "1.0", "2.0"]
 
 
+def test_a_track_of_the_folder_at_hand_has_its_name(tmp_path, monkeypatch):
+    (tmp_path / "tumble").mkdir()
+    monkeypatch.chdir(tmp_path / "tumble")
+    Image.new("RGB", (64, 48)).save("0.png")
+    (tmp_path / "tumble/frames.csv").write_text("image,time\n0.png,0\n")
+    estimator, titles = SimpleNamespace(near=None, metadata=None), []
+    monkeypatch.setattr("ffpose.inference.load.load", lambda *_, **__: estimator)
+    monkeypatch.setattr("ffpose.tracking.tracker.read_settings", lambda *_: None)
+    run = "ffpose.tracking.follow.run"
+    monkeypatch.setattr(run, lambda *_, title, **__: titles.append(title) or [])
+    assert main(["track", "soyuz", ".", "--out", "out"]) == 0
+    assert titles == ["tumble, tracked by soyuz"]
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a process at once")
 def test_a_terminated_export_leaves_nothing(tmp_path):
     place = tmp_path / "temporary"
@@ -688,6 +709,15 @@ def test_a_closed_standard_output_is_one_line():
     call = f"{shlex.quote(sys.executable)} -m ffpose.cli predict soyuz none.png >&-"
     done = subprocess.run(["sh", "-c", call], capture_output=True, text=True, check=False)
     expected = "ffpose: expected an open standard output, got a closed one\n"
+    assert (done.returncode, done.stderr) == (1, expected)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no /dev/full")
+@pytest.mark.parametrize("words", ["info", "info --json", "predict soyuz none.png --json"])
+def test_results_that_find_no_room_are_one_line(words):
+    call = f"{shlex.quote(sys.executable)} -m ffpose.cli {words} > /dev/full"
+    done = subprocess.run(["sh", "-c", call], capture_output=True, text=True, check=False)
+    expected = "ffpose: [Errno 28] No space left on device\n"
     assert (done.returncode, done.stderr) == (1, expected)
 
 

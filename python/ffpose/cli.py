@@ -42,22 +42,22 @@ TRAINED_DEMO = 500
 SECONDS, RATE = 120.0, 2.0
 """Length of a rendered motion, and its frames a second, if nobody says otherwise."""
 
-POSE_PACKAGES = (
-    "torch",
-    "torchvision",
-    "torchmetrics",
-    "timm",
-    "safetensors",
-    "matplotlib",
-)
+POSE = ("torch", "torchvision", "torchmetrics", "timm", "safetensors", "matplotlib")
 """What the extra [pose] brings and [onnx,render] do not."""
+
+
+Arguments = dict[str, tuple[Any, Any, str]]
+"""By name, the type of an argument or a dict of what argparse takes, its default and its help.
+
+The type bool makes a switch, and an ellipsis for a default one that must be given.
+"""
 
 
 class Command(NamedTuple):
     """A command: one-line summary, arguments, function, and the extra that it needs."""
 
     summary: str
-    add_arguments: Callable[[ArgumentParser], None]
+    arguments: Callable[[], Arguments]
     run: Callable[[Namespace], None]
     extra: str = "pose"
 
@@ -84,35 +84,51 @@ def show(document: dict[str, Any]) -> None:
     print(json.dumps(document, indent=2))
 
 
-def declare(parser: ArgumentParser, options: dict[str, tuple[Any, Any, str]]) -> None:
-    """Declare options: by name, their type, default and help.
-
-    The type bool makes a switch, and an ellipsis for a default one that must be given.
-    """
-    for name, (kind, default, text) in options.items():
+def declare(parser: ArgumentParser, arguments: Arguments) -> None:
+    """Declare arguments, in their order."""
+    for name, (kind, default, text) in arguments.items():
+        settings = dict(kind) if isinstance(kind, dict) else {"type": kind}
         if kind is bool:
-            parser.add_argument(name, action="store_true", help=text)
-        elif default is ...:
-            parser.add_argument(name, type=kind, required=True, help=text)
-        else:
-            parser.add_argument(name, type=kind, default=default, help=text)
+            settings = {"action": "store_true"}
+        if default is ...:
+            settings |= {"required": True} if name.startswith("-") else {}
+        elif default is not None:  # a configuration file takes none
+            settings["default"] = default
+        parser.add_argument(name, help=text, **settings)
 
 
-OUT = {"--out": (Path, ..., "folder to write")}
+OUT: Arguments = {"--out": (Path, ..., "folder to write")}
+JSON: Arguments = {"--json": (bool, False, "print the results as JSON")}
 MESH = "your spacecraft: .glb, .gltf, .obj, .ply, .stl"
 CAMERA = "JSON file of the images' camera: width, height, fx, fy, cx, cy"
-RESIZE = "resize images of any camera to the network's input"
+ANY_CAMERA = f"{CAMERA}, distortion if any (default: camera.json beside them, or of the weights)"
 WHITE = "level that becomes white in images of more than 8 bits, or percentile such as p99.5"
 ANGLES: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("ROLL", "PITCH", "YAW")}
+SYMMETRY: dict[str, Any] = {"metavar": "auto|none|FILE"}
+NETWORK = "weights file, exported .onnx graph, folder with one, or a name such as soyuz"
+WEIGHTS: Arguments = {
+    "weights": (Path, ..., NETWORK),
+    "--device": (str, "auto", "of weights; auto: a GPU if there is one, else the CPU"),
+}
+TAKEN: Arguments = {
+    "--camera": (Path, None, ANY_CAMERA),
+    "--resize": (bool, False, "resize images of any camera to the network's input"),
+    "--white": (float | str, None, WHITE),
+}
+"""How images were taken that are to be posed."""
+LOOKS: Arguments = {
+    "--looks": (int, None, "number of second looks, for less latency"),
+    "--candidates": (int, None, "number of places looked at first, for less latency"),
+}
+"""How often a network with a second look looks."""
 
 
-def demo_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `demo`."""
-    options = {
+def demo_arguments() -> Arguments:
+    """Return the arguments of `demo`."""
+    return {
         "--out": (Path, None, "folder to write (default: runs/demo, or runs/demo-train)"),
         "--train": (bool, False, "train from scratch, in minutes, instead of the shipped weights"),
     }
-    declare(parser, options)
 
 
 def demo(options: Namespace) -> None:
@@ -120,20 +136,19 @@ def demo(options: Namespace) -> None:
 
     Without the extra [pose] the shipped graph poses fewer images, and the report is a gallery.
     """
-    missing = [package for package in POSE_PACKAGES if find_spec(package) is None]
+    missing = [package for package in POSE if find_spec(package) is None]
     if missing and options.train:
         raise MissingExtraError.of(missing[0], "pose,render")
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
+    expect_writable(out)
     if missing:
         from ffpose.demo.gallery import run as run_gallery
 
-        expect_writable(out)
         document = run_gallery(out)
     else:
         from ffpose.demo.config import DemoConfig
         from ffpose.demo.run import run
 
-        expect_writable(out)
         config = DemoConfig(images=TRAINED_DEMO, train=True) if options.train else DemoConfig()
         document = run(out, config)
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
@@ -143,30 +158,25 @@ def demo(options: Namespace) -> None:
     print(out / "report.html")
 
 
-def mesh_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments that mend a mesh."""
+def mesh_arguments() -> Arguments:
+    """Return the arguments that mend a mesh."""
     from ffpose.render import Up
 
-    text = "axis of the mesh file that becomes the object's z (glTF files have y up)"
-    parser.add_argument("--mesh-up", choices=get_args(Up), default="z", help=text)
-    options = {
+    up = "axis of the mesh file that becomes the object's z (glTF files have y up)"
+    return {
+        "--mesh-up": ({"choices": get_args(Up)}, "z", up),
         "--mesh-scale": (float, 1.0, "meters per unit of the mesh"),
         "--mesh-center": (bool, False, "move the origin to the middle of the bounding sphere"),
         "--mesh-two-sided": (bool, False, "show the back of one-sided surfaces"),
     }
-    declare(parser, options)
 
 
 def expect_no_mesh(options: Namespace) -> None:
-    """Check that nothing is to mend a mesh where there is none.
-
-    Raises:
-        ValueError: An option of `mesh_arguments` is not at its default.
-    """
-    defaults = {"scale": 1.0, "up": "z", "center": False, "two_sided": False}
-    for name, default in defaults.items():
-        if options[f"mesh_{name}"] != default:
-            raise ValueError(f"mesh-{name.replace('_', '-')}: expected with a mesh, got none")
+    """Raise a ValueError if one of `mesh_arguments` is not at its default."""
+    for option, (_, default, _) in mesh_arguments().items():
+        name = option.removeprefix("--")
+        if options[name.replace("-", "_")] != default:
+            raise ValueError(f"{name}: expected with a mesh, got none")
 
 
 def craft_of(options: Namespace) -> Craft:
@@ -182,17 +192,21 @@ def craft_of(options: Namespace) -> Craft:
     )
 
 
-def render_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `render`."""
+def render_arguments() -> Arguments:
+    """Return the arguments of `render`."""
     from ffpose.render.layers import LABELS
     from ffpose.render.scene import Renderer
 
-    text = "soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
-    parser.add_argument("scene", help=f"{text}or a motion: approach, tumble, flyby")
-    text = "of a motion, as soyuz_hard (the default) or a scene.json"
-    parser.add_argument("--scene", dest="within", help=text)
+    scene = "soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
+    within = "of a motion, as soyuz_hard (the default) or a scene.json"
     row = "CSV file of time,tx,ty,tz,qw,qx,qy,qz: one frame of the scene for each row"
-    options = OUT | {
+    labels = {"nargs": "+", "choices": list(LABELS)}
+    angles = "largest absolute angles, degrees; 180 90 180 for all attitudes"
+    renderer = "of the spacecraft; mitsuba is a path tracer, 20 times slower"
+    return {
+        "scene": (str, ..., f"{scene}or a motion: approach, tumble, flyby"),
+        "--scene": ({"dest": "within"}, None, within),
+        **OUT,
         "--count": (int, None, "how many images of a scene"),
         "--start": (int, 0, "index of the first image"),
         "--seconds": (float, None, f"length of a motion (default: {SECONDS:g})"),
@@ -203,21 +217,17 @@ def render_arguments(parser: ArgumentParser) -> None:
         "--size": (size_type(), None, "WIDTHxHEIGHT in pixels, as 640x480"),
         "--workers": (int, 1, "processes"),
         "--layers": (bool, False, "write mask, depth and keypoints too"),
+        "--labels": (labels, [], "write these layers too"),
         "--camera": (Path, None, CAMERA),
         "--mesh": (Path, None, "own spacecraft: .obj, .stl, .ply, .glb, .gltf"),
+        **mesh_arguments(),
+        "--attitude-range": (ANGLES, None, angles),
         "--eclipse-rate": (float, None, "share in the Earth's shadow; as in orbit by default"),
         "--motion": (float, 0.0, "largest motion blur, pixels of 1280"),
         "--jpeg": (int, 0, "JPEG quality 1-100; 0 is none"),
         "--randomize": (float, 0.0, "domain randomization, 0-1"),
+        "--renderer": ({"choices": get_args(Renderer)}, "ffpose", renderer),
     }
-    declare(parser, options)
-    mesh_arguments(parser)
-    text = "write these layers too"
-    parser.add_argument("--labels", nargs="+", choices=list(LABELS), default=[], help=text)
-    text = "largest absolute angles, degrees; 180 90 180 for all attitudes"
-    parser.add_argument("--attitude-range", **ANGLES, help=text)
-    text = "of the spacecraft; mitsuba is a path tracer, 20 times slower"
-    parser.add_argument("--renderer", choices=get_args(Renderer), default="ffpose", help=text)
 
 
 def render(options: Namespace) -> None:
@@ -239,7 +249,7 @@ def chosen_scene(options: Namespace, name: str) -> Scene:
     from ffpose.render import Randomization, find_scene
 
     limits = options.attitude_range
-    scene = find_scene(name, tuple(limits) if limits else None)
+    scene = find_scene(name, limits and tuple(limits))
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     return replace(
         scene,
@@ -273,7 +283,7 @@ def render_set(options: Namespace) -> None:
         options.count,
         options.seed,
         start=options.start,
-        size=None if options.size is None else width_and_height(options.size),
+        size=options.size and width_and_height(options.size),
         workers=options.workers,
         labels=[*options.labels, *(LAYERS if options.layers else ())],
         progress=True,
@@ -292,7 +302,7 @@ def render_motion(options: Namespace) -> None:
     for name in ("count", "start", "labels", "layers", "motion"):
         if options[name]:
             raise ValueError(f"{name}: expected for a scene's images, got it for a motion's frames")
-    size = None if options.size is None else width_and_height(options.size)
+    size = options.size and width_and_height(options.size)
     if options.trajectory is not None:
         for name in ("seconds", "rate"):
             if options[name] is not None:
@@ -312,17 +322,16 @@ def render_motion(options: Namespace) -> None:
     say(f"{written.folder}: {written.rendered} frames in {written.seconds:.1f} s")
 
 
-def train_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `train`."""
+def train_arguments() -> Arguments:
+    """Return the arguments of `train` but for those of `declare_fields`."""
     from ffpose.training import configs
-    from ffpose.training.options import add_fields
 
     names = ", ".join(configs.names())
     text = f"YAML file, such as config.yaml of a run, or the name of one that comes along: {names}"
-    parser.add_argument("--config", action="config", help=text)
-    text = "resume the run in --out; begin one where there is none"
-    parser.add_argument("--resume", action="store_true", help=text)
-    add_fields(parser)
+    return {
+        "--config": ({"action": "config"}, None, text),
+        "--resume": (bool, False, "resume the run in --out; begin one where there is none"),
+    }
 
 
 def train(options: Namespace) -> None:
@@ -353,51 +362,38 @@ def train(options: Namespace) -> None:
         say(f"best epoch {result.best_epoch}: {result.folder.best}")
 
 
-def data_arguments(parser: ArgumentParser, *, required: bool = True) -> None:
-    """Declare the arguments that choose a command's images."""
+def data_arguments(*, required: bool = True) -> Arguments:
+    """Return the arguments that choose a command's images."""
+    default = ... if required else None
     kinds = "urso, speed, speedplus, cambridge, sevenscenes or csv"
-    options = {
-        "--data.kind": (str, ... if required else None, f"layout of the image set: {kinds}"),
-        "--data.root": (Path, ... if required else None, "folder of the image set"),
+    return {
+        "--data.kind": (str, default, f"layout of the image set: {kinds}"),
+        "--data.root": (Path, default, "folder of the image set"),
         "--data.undistort": (bool, False, "undistort images of cameras with distortion"),
         "--data.white": (float | str, None, WHITE),
     }
-    declare(parser, options)
 
 
-def weights_argument(parser: ArgumentParser) -> None:
-    """Declare the arguments that choose a command's network, and where it is computed."""
-    text = "weights file, exported .onnx graph, folder with one, or a name such as soyuz"
-    parser.add_argument("weights", type=Path, help=text)
-    text = "of weights; auto: a GPU if there is one, else the CPU"
-    parser.add_argument("--device", default="auto", help=text)
-
-
-def symmetry_argument(parser: ArgumentParser, text: str) -> None:
-    """Declare the argument of rotations that leave the object's look unchanged."""
-    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
-
-
-def learn_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `learn`."""
-    parser.add_argument("mesh", type=Path, help=MESH)
+def learn_arguments() -> Arguments:
+    """Return the arguments of `learn`."""
     init = "weights to start from: a name such as generic, a file, or none for random ones"
-    options = OUT | {
+    distance = {"nargs": 2, "type": float, "metavar": ("NEAR", "FAR")}
+    apart = "meters; 1.5 to 8 diameters of the spacecraft by default"
+    one = "attitudes that count as one: auto (equal within sensor noise), none, or a JSON file"
+    return {
+        "mesh": (Path, ..., MESH),
+        **OUT,
         "--minutes": (float, 60.0, "budget; more is better"),
         "--camera": (Path, None, CAMERA),
         "--init": (str, "generic", init),
         "--processes": (int, 0, "0 for one a core"),
         "--seed": (int, 0, "seed of everything"),
         "--device": (str, "auto", "auto, cpu, cuda"),
+        **mesh_arguments(),
+        "--distance": (distance, None, apart),
+        "--attitude-range": (ANGLES, [180.0, 90.0, 180.0], "largest absolute angles, degrees"),
+        "--symmetry": (SYMMETRY, "auto", one),
     }
-    declare(parser, options)
-    mesh_arguments(parser)
-    text = "meters; 1.5 to 8 diameters of the spacecraft by default"
-    parser.add_argument("--distance", nargs=2, type=float, metavar=("NEAR", "FAR"), help=text)
-    text = "largest absolute angles, degrees"
-    parser.add_argument("--attitude-range", **ANGLES, default=[180.0, 90.0, 180.0], help=text)
-    text = "attitudes that count as one: auto (equal within sensor noise), none, or a JSON file"
-    symmetry_argument(parser, text)
 
 
 def learn(options: Namespace) -> None:
@@ -415,21 +411,21 @@ def learn(options: Namespace) -> None:
     run(LearnConfig(**values), say)
 
 
-def evaluate_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `evaluate`."""
-    weights_argument(parser)
-    data_arguments(parser)
+def evaluate_arguments() -> Arguments:
+    """Return the arguments of `evaluate`."""
     empty = "folder of images without the object, which should be flagged"
     reproject = "reproject images of a camera other than the weights' to the network's view"
-    options = OUT | {
+    modulo = "what errors are measured modulo: auto (as in training), none, or a JSON file"
+    return {
+        **WEIGHTS,
+        **data_arguments(),
+        **OUT,
         "--data.split": (str, "test", "a split of the set, or all"),
         "--empty": (Path, None, empty),
         "--reproject": (bool, False, reproject),
-        "--json": (bool, False, "print the results as JSON"),
+        **JSON,
+        "--symmetry": (SYMMETRY, "auto", modulo),
     }
-    declare(parser, options)
-    text = "what errors are measured modulo: auto (as in training), none, or a JSON file"
-    symmetry_argument(parser, text)
 
 
 def evaluate(options: Namespace) -> None:
@@ -461,21 +457,17 @@ def evaluate(options: Namespace) -> None:
         print(format_table(evaluation.summary()))
 
 
-def predict_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `predict`."""
-    weights_argument(parser)
-    text = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
-    parser.add_argument("images", nargs="+", help=text)
-    camera = f"{CAMERA}, distortion if any (default: camera.json beside them, or of the weights)"
-    options = {
+def predict_arguments() -> Arguments:
+    """Return the arguments of `predict`."""
+    images = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
+    return {
+        **WEIGHTS,
+        "images": ({"nargs": "+"}, ..., images),
         "--json": (bool, False, "print a line of JSON for each image"),
         "--batch": (int, 1, "images computed together"),
         "--overlay": (Path, None, "folder for images with the axes drawn"),
-        "--camera": (Path, None, camera),
-        "--resize": (bool, False, RESIZE),
-        "--white": (float | str, None, WHITE),
+        **TAKEN,
     }
-    declare(parser, options)
 
 
 def predict(options: Namespace) -> None:
@@ -501,7 +493,7 @@ def predict(options: Namespace) -> None:
     if options.overlay is not None:
         expect_writable(options.overlay)
         expect_distinct_overlays(images, options.overlay)
-    named = None if options.camera is None else Camera.read(options.camera)
+    named = options.camera and Camera.read(options.camera)
     estimator = load(
         options.weights,
         camera=named or (None if options.resize else camera_beside(images)),
@@ -534,21 +526,18 @@ def predict(options: Namespace) -> None:
         raise DataError(f"{len(failures)} of {len(images)} images have no pose")
 
 
-def track_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `track`."""
-    weights_argument(parser)
-    parser.add_argument("images", type=Path, help="folder of the frames")
+def track_arguments() -> Arguments:
+    """Return the arguments of `track`."""
     times = "CSV file of image,time (seconds), perhaps with poses (default: frames.csv there)"
-    camera = f"{CAMERA}, distortion if any (default: camera.json beside them, or of the weights)"
-    options = OUT | {
+    return {
+        **WEIGHTS,
+        "images": (Path, ..., "folder of the frames"),
+        **OUT,
         "--times": (Path, None, times),
-        "--camera": (Path, None, camera),
-        "--resize": (bool, False, RESIZE),
-        "--white": (float | str, None, WHITE),
+        **TAKEN,
         "--whole": (bool, False, "search each frame as a whole, as if without a track"),
         "--settings": (Path, None, "JSON file of fields of ffpose.tracking.Settings"),
     }
-    declare(parser, options)
 
 
 def track(options: Namespace) -> None:
@@ -576,37 +565,30 @@ def track(options: Namespace) -> None:
     settings = read_settings(options.settings, estimator.metadata)
     if estimator.near is None and not options.whole:
         say("each frame is searched as a whole: no single look (ffpose export --track)")
-    title = f"{options.images.name}, tracked by {options.weights.name}"
+    title = f"{options.images.absolute().name}, tracked by {options.weights.absolute().name}"
     followed = run_track(estimator, frames, options.out, settings=settings, title=title)
     accepted = sum(each.step.accepted for each in followed)
     say(f"{options.out / TRAJECTORY}: {len(followed)} frames, {accepted} accepted")
 
 
-def inference_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments that change how often a network with a second look looks."""
-    for name, what in (("looks", "second looks"), ("candidates", "places looked at first")):
-        parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
-
-
 def inference_fields(options: Namespace) -> dict[str, Any]:
-    """Return the fields of a network that `inference_arguments` changes."""
+    """Return the fields of a network that `LOOKS` change."""
     return {name: options[name] for name in ("looks", "candidates") if options[name] is not None}
 
 
-def export_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `export`."""
-    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz")
-    text = "filters by ffpose's operator, or by standard ones alone"
-    parser.add_argument("--filter", choices=["custom", "matmul"], default="custom", help=text)
-    inference_arguments(parser)
+def export_arguments() -> Arguments:
+    """Return the arguments of `export`."""
+    filters = "filters by ffpose's operator, or by standard ones alone"
     track = "write the single look of a track too, X.track.onnx beside X.onnx"
-    options = {
+    return {
+        "weights": (Path, ..., "weights, or a name such as soyuz"),
         "--out": (Path, ..., "ONNX file to write"),
+        "--filter": ({"choices": ["custom", "matmul"]}, "custom", filters),
+        **LOOKS,
         "--track": (bool, False, track),
         "--int8": (bool, False, "convolutions and matrix products in 8 bits"),
         "--calibrate": (Path, None, "folder of typical images, unlabeled; with --int8"),
     }
-    declare(parser, options)
 
 
 def export(options: Namespace) -> None:
@@ -653,13 +635,16 @@ def tell(exported: Exported) -> None:
     say(f"{exported.path.name}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
 
 
-def inspect_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `inspect`."""
-    text = f"{MESH}; else --data.kind and --data.root"
-    parser.add_argument("mesh", nargs="?", type=Path, help=text)
-    mesh_arguments(parser)
-    data_arguments(parser, required=False)
-    declare(parser, OUT | {"--json": (bool, False, "print the summary as JSON")})
+def inspect_arguments() -> Arguments:
+    """Return the arguments of `inspect`."""
+    mesh = {"nargs": "?", "type": Path}
+    return {
+        "mesh": (mesh, None, f"{MESH}; else --data.kind and --data.root"),
+        **mesh_arguments(),
+        **data_arguments(required=False),
+        **OUT,
+        "--json": (bool, False, "print the summary as JSON"),
+    }
 
 
 def inspect(options: Namespace) -> None:
@@ -675,7 +660,8 @@ def inspect(options: Namespace) -> None:
 
     expect_writable(options.out)
     data = options.data
-    if (options.mesh is None) == (data.kind is None and data.root is None):
+    of_set = any(data[name] for name in ("kind", "root", "undistort", "white"))
+    if of_set == (options.mesh is not None):
         raise ValueError("mesh: expected a mesh file, or --data.kind and --data.root")
     if options.mesh is not None:
         inspect_mesh(options)
@@ -730,18 +716,18 @@ def inspect_mesh(options: Namespace) -> None:
     say(str(options.out / "views.png"))
 
 
-def card_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `card`."""
+def card_arguments() -> Arguments:
+    """Return the arguments of `card`."""
     from ffpose._internal.seeds import CHOICES
 
     weights = "weights file, a name such as soyuz, or an exported .onnx graph"
-    parser.add_argument("weights", type=Path, help=weights)
     scene = "what it was made for: a set such as soyuz_hard, or the scene.json of ffpose learn"
     seeds = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
     final = "scenes of the seed that is kept for published figures, in place of --seed"
     images = "folder that keeps the images: an interrupted card goes on"
     out = "folder for card.json and card.md; one that holds this card is not measured again"
-    options = {
+    return {
+        "weights": (Path, ..., weights),
         "--scene": (str, ..., scene),
         "--count": (int, 500, "images per condition"),
         "--size": (size_type(), "640x480", "WIDTHxHEIGHT"),
@@ -751,9 +737,8 @@ def card_arguments(parser: ArgumentParser) -> None:
         "--images": (Path, None, images),
         "--mitsuba": (bool, False, "images of the second renderer too, which is slow"),
         "--out": (Path, None, out),
-        "--json": (bool, False, "print the results as JSON"),
+        **JSON,
     }
-    declare(parser, options)
 
 
 def card(options: Namespace) -> None:
@@ -768,9 +753,8 @@ def card(options: Namespace) -> None:
 
     if options.final and options.seed != CHOICES.start:
         raise ValueError(f"seed: expected none with --final, got {options.seed}")
-    for folder in (options.images, options.out):
-        if folder is not None:
-            expect_writable(folder)
+    for folder in filter(None, (options.images, options.out)):
+        expect_writable(folder)
     document = measure(
         options.weights,
         options.scene,
@@ -790,19 +774,14 @@ def card(options: Namespace) -> None:
         print(format_card(document), end="")
 
 
-def calibrate_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `calibrate`."""
-    from ffpose.training.config import CalibrationImages
-
-    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz")
-    parser.add_class_arguments(CalibrationImages, "data")
-    restyle(parser)
+def calibrate_arguments() -> Arguments:
+    """Return the arguments of `calibrate` but for those of `declare_fields`."""
     out = "file to write (default: the weights file; of weights by name there is none)"
-    options = {
+    return {
+        "weights": (Path, ..., "weights file, or a name such as soyuz"),
         "--out": (Path, None, out),
         "--json": (bool, False, "print what was found as JSON"),
     }
-    declare(parser, options)
 
 
 def calibrate(options: Namespace) -> None:
@@ -825,27 +804,26 @@ def calibrate(options: Namespace) -> None:
             print(f"{name}: {value}")
 
 
-def bench_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `bench`."""
+def bench_arguments() -> Arguments:
+    """Return the arguments of `bench`."""
     from jsonargparse.typing import PositiveInt
 
     from ffpose.config import PRESETS
 
-    parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
-    text = f"of a model: {', '.join(PRESETS)}, or weights (default: base; quick: tiny)"
-    parser.add_argument("network", nargs="?", help=text)
-    options = {
+    network = f"of a model: {', '.join(PRESETS)}, or weights (default: base; quick: tiny)"
+    graphs = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
+    numbers = {"nargs": "+", "type": PositiveInt}
+    return {
+        "subject": ({"choices": ["filter", "model"]}, ..., "what to measure"),
+        "network": ({"nargs": "?"}, None, network),
         "--json": (bool, False, "print every timing as JSON"),
         "--plot": (Path, None, "picture to draw, PNG"),
         "--quick": (bool, False, "a first look in under a minute"),
+        "--batch": (numbers, None, "images a batch (default: 1 8)"),
+        "--threads": (numbers, None, "(default: 1, 2, all cores)"),
+        "--compare": ({"nargs": "+", "type": Path, "metavar": "GRAPH"}, None, graphs),
+        **LOOKS,
     }
-    declare(parser, options)
-    text = "images a batch (default: 1 8)"
-    parser.add_argument("--batch", type=PositiveInt, nargs="+", help=text)
-    parser.add_argument("--threads", type=PositiveInt, nargs="+", help="(default: 1, 2, all cores)")
-    text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
-    parser.add_argument("--compare", type=Path, nargs="+", metavar="GRAPH", help=text)
-    inference_arguments(parser)
 
 
 def bench(options: Namespace) -> None:
@@ -922,11 +900,7 @@ def plain_help(formatter: type[argparse.HelpFormatter]) -> type[argparse.HelpFor
 
 
 def build_parser(name: str) -> ArgumentParser:
-    """Return the parser of one command's arguments.
-
-    Raises:
-        MissingExtraError: The extra that the command needs is not installed.
-    """
+    """Return the parser of one command's arguments; a MissingExtraError without its extra."""
     command = COMMANDS[name]
     jsonargparse = require("jsonargparse", command.extra)
 
@@ -938,17 +912,27 @@ def build_parser(name: str) -> ArgumentParser:
         exit_on_error=False,  # wrong usage is reported in one line
         print_config="--print-config",
     )
-    command.add_arguments(parser)
+    declare_fields(parser, name)
+    declare(parser, command.arguments())
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
 
 
-def words_of(name: str, words: Sequence[str]) -> list[str]:
-    """Return the words of a command as its parser takes them.
+def declare_fields(parser: ArgumentParser, name: str) -> None:
+    """Declare the fields of a configuration, which `train` and `calibrate` take."""
+    if name == "train":
+        from ffpose.training.options import add_fields
 
-    Raises:
-        argparse.ArgumentError: An option is spelled in another style.
-    """
+        add_fields(parser)
+    elif name == "calibrate":
+        from ffpose.training.config import CalibrationImages
+
+        parser.add_class_arguments(CalibrationImages, "data")
+        restyle(parser)
+
+
+def words_of(name: str, words: Sequence[str]) -> list[str]:
+    """Return the words of a command as its parser takes them; an ArgumentError if misspelled."""
     if name in ("train", "calibrate"):
         from ffpose.training.options import read_words
 
@@ -976,16 +960,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.filterwarnings("ignore", "Image size .* could be decompression bomb")
     if isinstance(sys.stdout, TextIOWrapper):  # of a code page, on Windows: "±" must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
+    code = 0
     try:
         with exit_on_sigterm():
             code = run_command(words)
             sys.stdout.flush()
     except OSError as error:
-        if not is_closed_pipe(error):
+        closed = is_closed_pipe(error)
+        if not closed and "--debug" in words:
             raise
-        # What is left in the buffer has no reader either, and Python would say so as it leaves.
+        if not closed and code == 0:  # as on a full disk; else it was said already
+            say(f"ffpose: {explain(error)}")
+        # What is left in the buffer finds no room either, and Python would say so as it leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return CLOSED
+        return CLOSED if closed else 1
     except KeyboardInterrupt:
         say("ffpose: interrupted; files already written are complete")
         return INTERRUPTED

@@ -103,14 +103,7 @@ def explain(error: BaseException) -> str:
 
 
 def require(module: str, extra: str) -> ModuleType:
-    """Import an optional dependency.
-
-    Args:
-        module: The module to import, for example ``"matplotlib.pyplot"``.
-        extra: The extra of this package that installs it, for example ``"pose"``.
-
-    Returns:
-        The module.
+    """Import a module, such as ``"matplotlib.pyplot"``, of a package that an extra installs.
 
     Raises:
         MissingExtraError: The module or its package is not installed.

@@ -175,10 +175,31 @@ def test_calibration_images_are_of_the_camera_beside_them(graph, images, tmp_pat
     lost = [np.linalg.norm(one.t - other.t) for one, other in zip(*expected, strict=True)]
     np.testing.assert_allclose(turned.translation_m, lost, rtol=0, atol=1e-6)
     assert np.abs(turned.translation_m - plain.translation_m).max() > 1e-6
-    Image.new("RGB", (32, 32)).save(images[1])
+
+
+def refused(graph, images, out):
+    with pytest.raises(ValueError, match="; calibration images are of the camera") as error:
+        int8.quantize_graph(graph, out, images)
+    assert "--" not in str(error.value)  # `ffpose export` has no option for it
+    return str(error.value)
+
+
+def test_errors_of_cameras_name_the_file_and_no_option(graph, images, tmp_path):
+    out, view = tmp_path / "int8.onnx", Camera(32, 16, 20.0, 20.0, 16.0, 8.0)
+    config = replace(read_model_metadata(graph).config, camera=(20.0, 20.0, 16.0, 8.0))
+    metadata = replace(read_model_metadata(graph), config=config, camera=view)
+    describe(graph, replace(metadata, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)))
     (images[0].parent / "camera.json").write_text(json.dumps(asdict(view)))
-    with pytest.raises(DataError, match=r"b\.PNG: expected .*; beside calibration images it is"):
-        int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+    assert "expected that of training, with the distortion (0.1" in refused(graph, images, out)
+    describe(graph, metadata)
+    Image.new("RGB", (32, 32)).save(images[1])
+    wrong = refused(graph, images, out)
+    assert wrong.startswith(f"{images[1]}: expected the aspect ratio of its camera, Camera(")
+    assert "got an image of 32x32 pixels; calibration" in wrong
+    (tmp_path / "other").mkdir()
+    Image.new("RGB", (32, 16)).save(tmp_path / "other" / "d.png")
+    other = [images[0], tmp_path / "other" / "d.png"]
+    assert "camera: expected one beside all images, got" in refused(graph, other, out)
 
 
 def test_a_graph_has_the_suffix_by_which_it_is_opened(capsys):

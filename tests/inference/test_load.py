@@ -7,6 +7,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -81,6 +82,24 @@ def test_the_path_of_a_camera_is_none():
 def test_what_torch_cannot_do_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         ffpose.load("soyuz", **options)
+
+
+class Sums(NamedTuple):
+    sums: torch.Tensor
+
+
+class Summing(torch.nn.Module):
+    def forward(self, images):
+        return Sums(images.sum(dim=(1, 2)))
+
+
+def test_torch_takes_any_array():
+    """Such as a flipped view, or the part of a file that is mapped for reading."""
+    x = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    x.flags.writeable = False
+    for each in (x, x[::-1, :, ::-1]):
+        found = TorchSession(Summing(), device="cpu").run(each)["sums"]
+        np.testing.assert_array_equal(found, each.sum(axis=(1, 2)))
 
 
 class Counting(torch.nn.Module):

@@ -339,8 +339,9 @@ def test_the_reports_command_has_all_options(tmp_path):
         symmetry="none",
         init="none",
     )
-    options = "--mesh-scale 0.001 --mesh-up y --symmetry none --init none --distance 3.0 9.5"
-    assert run._command(changed) == [*words, *options.split(), "--mesh-center"]
+    mesh = "--mesh-scale 0.001 --mesh-up y --mesh-center"
+    options = f"{mesh} --symmetry none --init none --distance 3.0 9.5"
+    assert run._command(changed) == [*words, *options.split()]
 
 
 def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):

@@ -65,6 +65,21 @@ def test_what_the_operator_cannot_do_stays_torchs(tmp_path, options, dtype):
     torch.testing.assert_close(computed(path, x), module(x), rtol=1e-5, atol=1e-6)
 
 
+class OneKey(nn.Module):
+    """Attention of three heads to the keys of one, tokens (B, N, 24)."""
+
+    def forward(self, x):
+        heads = x.unflatten(-1, (3, -1)).transpose(1, 2)
+        return scaled_dot_product_attention(heads, heads[:, :1].flip(2), heads[:, :1].cos())
+
+
+def test_keys_of_one_head_for_all_queries_stay_torchs(tmp_path):
+    path, x = tmp_path / "attention.onnx", torch.randn(3, 10, 24)
+    ffpose.onnx.export(OneKey().eval(), [torch.randn(2, 10, 24)], path)
+    assert FUSED not in operators(path)
+    torch.testing.assert_close(computed(path, x), OneKey()(x), rtol=1e-5, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_every_block_has_one_and_the_last_has_one_query(tmp_path):
     encoder = Filterformer((3, 4), 8, depth=3, heads=2, filter="none", extra_tokens=1, outputs=1)

@@ -57,12 +57,10 @@ def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
 
 def _sync(path: Path) -> None:
     """Flush a file's contents, or a folder's entries, to disk; Windows opens no folder."""
-    windows = os.name == "nt"
+    windows = os.name == "nt"  # which flushes writers alone
     if windows and path.is_dir():
         return
-    descriptor = os.open(
-        path, os.O_RDWR if windows else os.O_RDONLY
-    )  # Windows flushes writers alone
+    descriptor = os.open(path, os.O_RDWR if windows else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -71,13 +69,9 @@ def _sync(path: Path) -> None:
 
 def same_place(one: object, other: object) -> bool:
     """Return whether two values are equal, or paths of one file however they are written."""
-    if one == other:
-        return True
-    return (
-        isinstance(one, str | Path)
-        and isinstance(other, str | Path)
-        and (Path(one).resolve() == Path(other).resolve())
-    )
+    if isinstance(one, str | Path) and isinstance(other, str | Path):
+        return Path(one).resolve() == Path(other).resolve()
+    return one == other
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -107,12 +101,7 @@ def sha256(path: str | Path) -> str:
 
 
 def read_text(path: Path) -> str:
-    """Read a text file in UTF-8, with or without a byte order mark.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DataError: The file is not in UTF-8.
-    """
+    """Read a text file in UTF-8, with or without a byte order mark; a DataError if it is none."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -230,11 +219,7 @@ def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:
 
 
 def expect_room(folder: str | Path, need: int, what: str) -> None:
-    """Check in advance that a folder's disk has ``need`` bytes free, for ``what`` is to be written.
-
-    Raises:
-        OSError: There is not enough space; ``errno`` is ``ENOSPC``.
-    """
+    """Check that a folder's disk has ``need`` bytes free for ``what``; or raise ENOSPC."""
     free = shutil.disk_usage(_nearest(folder)).free
     if free < need:
         room = f"need at least {need / 1e9:.1f} GB, got {free / 1e9:.1f} GB free"
@@ -269,11 +254,7 @@ def expect_writable(folder: str | Path) -> None:
 
 
 def expect_place(path: Path | None) -> None:
-    """Check in advance that an output file can be written in an existing folder.
-
-    Raises:
-        OSError: It cannot, or the folder does not exist (FileNotFoundError).
-    """
+    """Check in advance that a file can be written in an existing folder; or raise an OSError."""
     if path is None:
         return
     expect_folder(path.parent)

@@ -49,8 +49,7 @@ def threads() -> int:
 def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
     """Return the packages of each extra and their versions, None where not installed.
 
-    Args:
-        requirements: Requirements in the package's metadata, as ``torch>=2.10; extra == 'torch'``.
+    Requirements are as in a package's metadata: ``torch>=2.10; extra == 'torch'``.
     """
     found: dict[str, dict[str, str | None]] = {}
     for match in filter(None, map(_REQUIREMENT.match, requirements)):

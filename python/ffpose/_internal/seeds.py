@@ -12,6 +12,8 @@ Two sets of one seed have the same attitudes and light, so they are no independe
 
 from __future__ import annotations
 
+from ffpose.errors import expect
+
 TRAINING = range(1_000_000)
 """Seeds of training images; a configuration's ``data.seed`` is one of these."""
 
@@ -41,13 +43,6 @@ def matching(purpose: range, seed: int) -> int:
 
 
 def refuse_final(seed: int) -> None:
-    """Check that a seed is none of the final figures'.
-
-    Raises:
-        ValueError: It is one of `FINAL`.
-    """
-    if seed in FINAL:
-        raise ValueError(
-            f"seed: expected none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final"
-            f" alone renders, got {seed}"
-        )
+    """Raise a ValueError for a seed of the final figures."""
+    others = f"none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final alone renders"
+    expect(seed not in FINAL, "seed", others, seed)

@@ -55,6 +55,7 @@ def _plain_keys() -> frozenset[int]:
     return frozenset(_dispatch_keys(each).raw_repr() for each in (tensor, of_inference))
 
 
+_unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual  # torch annotates nothing of it
 _PLAIN_KEYS = _plain_keys()
 _PLAIN_TYPES = frozenset((Tensor, Parameter)) if _PLAIN_KEYS else frozenset()
 
@@ -123,14 +124,12 @@ def outer_tangents() -> AbstractContextManager[None]:
 
 def primals(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
     """Return tensors without their tangents of the present level of forward mode."""
-    unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual  # torch annotates nothing of it
-    return tuple(unpack(tensor).primal for tensor in tensors)
+    return tuple(_unpack(tensor).primal for tensor in tensors)
 
 
 def have_tangent(*tensors: Tensor) -> bool:
     """Return whether one of the tensors has a tangent of the present level of forward mode."""
-    unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual
-    return any(unpack(tensor).tangent is not None for tensor in tensors)
+    return any(_unpack(tensor).tangent is not None for tensor in tensors)
 
 
 def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:

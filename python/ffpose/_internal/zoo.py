@@ -20,7 +20,7 @@ def names(folder: Path | None = None) -> list[str]:
     return sorted(path.stem for path in (folder or FOLDER).glob(f"*{WEIGHTS}"))
 
 
-def resolve(path_or_name: str | Path, suffix: str = WEIGHTS, *, argument: str = "weights") -> Path:
+def resolve(path_or_name: str | Path, suffix: str = WEIGHTS) -> Path:
     """Return the path of a network's file; an existing file has precedence over a name.
 
     A path is returned unchanged; one of `names`, without folder and suffix, stands for the file of
@@ -28,17 +28,13 @@ def resolve(path_or_name: str | Path, suffix: str = WEIGHTS, *, argument: str = 
 
     Raises:
         FileNotFoundError: A word without folder and suffix is neither a file nor a name; the
-            message begins with ``argument`` and lists the names.
+            message lists the names.
     """
-    return _resolved(path_or_name, [FOLDER], suffix, argument)
+    return _resolved(path_or_name, [FOLDER], suffix, "weights")
 
 
 def resolve_initial(path_or_name: str | Path) -> Path:
-    """Return the path of weights that a training starts from, as `resolve`; `INITIAL` has more.
-
-    Raises:
-        FileNotFoundError: As `resolve`.
-    """
+    """Return the path of weights that a training starts from, as `resolve`; `INITIAL` has more."""
     return _resolved(path_or_name, [FOLDER, INITIAL], WEIGHTS, "init")
 
 

@@ -10,11 +10,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
 from ffpose._internal.locks import fork_safe_lock
+from ffpose.errors import expect
 from ffpose.models import find_device
 
 
@@ -30,15 +32,16 @@ class TorchSession:
     """
 
     def __init__(self, model: nn.Module, device: str = "auto", threads: int | None = None) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads: expected at least 1, got {threads}")
+        expect(threads is None or threads >= 1, "threads", "at least 1", threads)
         self.device = find_device(device)
         self.model = model.eval().to(self.device)
         self.threads = threads
 
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the network's outputs by name, for its inputs in order."""
-        tensors = [torch.from_numpy(each).to(self.device) for each in inputs]
+        # Torch takes no arrays of negative strides, and warns of those that are read-only.
+        arrays = [np.require(each, requirements=["C", "W"]) for each in inputs]
+        tensors = [torch.from_numpy(each).to(self.device) for each in arrays]
         with torch_threads(self.threads), torch.inference_mode():
             outputs = self.model(*tensors)._asdict()
         return {name: values.cpu().numpy() for name, values in outputs.items()}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,9 @@ from ffpose.inference.prediction import camera_beside
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import quantize
 from ffpose.onnx.metadata import read_model_metadata, sealed
+
+OPTION = re.compile(r"(, which another camera took)?[:;][^:;]*--(camera FILE|resize)\b.*")
+"""Ways out of an error about a camera that are options of other commands than `ffpose export`."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +78,12 @@ def quantize_graph(
         calibration_sha256=hashlib.sha256(digests.encode()).hexdigest(),
     )
     onnx = require("onnx", "export")
-    camera = camera_beside(images)
-    read: dict[str, Any] = {"camera": camera}
-    if camera is None and metadata.undistorted:
-        read = {"camera": metadata.camera, "resize": metadata.camera is None}
-    estimator = PoseEstimator(open_session(Path(graph), metadata.filter), metadata, **read)
+    with _camera_beside_images():
+        camera = camera_beside(images)
+        read: dict[str, Any] = {"camera": camera}
+        if camera is None and metadata.undistorted:
+            read = {"camera": metadata.camera, "resize": metadata.camera is None}
+        estimator = PoseEstimator(open_session(Path(graph), metadata.filter), metadata, **read)
     with tempfile.TemporaryDirectory(prefix="ffpose-int8-") as folder:
         say(f"calibrating with {len(images)} images")
         out = Path(folder) / "int8.onnx"
@@ -99,11 +105,21 @@ def quantize_graph(
     )
 
 
-def _input(estimator: PoseEstimator, image: Path) -> NDArray[np.float32]:
-    """Return what the network sees of an image; an error names it."""
+@contextmanager
+def _camera_beside_images(image: Path | None = None) -> Iterator[None]:
+    """Let an error of the block say which camera is meant, and name the image."""
     try:
-        return estimator.preprocess(image)
+        yield
     except DataError:
         raise
     except ValueError as error:
-        raise DataError(f"{error}; beside calibration images it is a camera.json", image) from error
+        text = (
+            OPTION.sub("", str(error)) + "; calibration images are of the camera.json beside them"
+        )
+        raise (DataError(text, image) if image else ValueError(text)) from error
+
+
+def _input(estimator: PoseEstimator, image: Path) -> NDArray[np.float32]:
+    """Return what the network sees of an image."""
+    with _camera_beside_images(image):
+        return estimator.preprocess(image)

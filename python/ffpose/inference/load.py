@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ffpose.errors import DataError, require
+from ffpose.errors import DataError, expect, require
 from ffpose.geometry import Camera
 from ffpose.inference.source import TRACK_SUFFIX, Backend, find_source
 
@@ -90,8 +90,8 @@ def load(
     near: Session | None = None
     metadata: Description
     if source.is_graph:
-        if device not in ("auto", "cpu"):
-            raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
+        kinds = "auto or cpu for an exported graph"
+        expect(device in ("auto", "cpu"), "device", kinds, device)
         if backend is None and find_spec("onnxruntime") is None and find_spec("openvino"):
             backend = "openvino"
         open_one = partial(
@@ -110,8 +110,7 @@ def load(
         from ffpose.models import PolarPose, open_weights
         from ffpose.models.polar_pose import NearPoint
 
-        if precision != "float32":
-            raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
+        expect(precision == "float32", "precision", "float32 for weights", precision)
         if providers is not None:
             raise ValueError(f"providers: expected with a graph, got {providers} with weights")
         model, metadata = open_weights(source.path)
@@ -134,11 +133,8 @@ def _open_graph(
 
     graph, data = read_model(path)
     if whole is None and graph.takes_point:
-        raise DataError(
-            "expected a graph of whole frames, got one of single looks, which `track` opens beside"
-            " it",
-            path,
-        )
+        single = "one of single looks, which `track` opens beside it"
+        raise DataError(f"expected a graph of whole frames, got {single}", path)
     if whole is not None:
         name = path.name.removesuffix(TRACK_SUFFIX) + ".onnx"
         got = hashlib.sha256(data).hexdigest()

@@ -14,15 +14,8 @@ from numpy.typing import NDArray
 from ffpose._internal.files import atomic_write
 from ffpose.arrays import quaternion_to_euler
 from ffpose.config import NetworkConfig, looks_twice
-from ffpose.errors import DataError, explain
-from ffpose.geometry import (
-    CAMERA_FILE,
-    Camera,
-    FloatArray,
-    Pose,
-    Target,
-    standard_deviations,
-)
+from ffpose.errors import DataError, expect, explain
+from ffpose.geometry import CAMERA_FILE, Camera, FloatArray, Pose, Target, standard_deviations
 from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.inference.estimator import PoseEstimator
@@ -142,8 +135,7 @@ def predict(
     Raises:
         ValueError: ``batch`` is below one.
     """
-    if batch < 1:
-        raise ValueError(f"batch: expected at least 1, got {batch}")
+    expect(batch >= 1, "batch", "at least 1", batch)
     paths, metadata = iter(images), estimator.metadata
     about = estimator.camera, metadata.locates, estimator.white, axis_length(metadata.config)
     return (
@@ -213,40 +205,30 @@ def overlay_path(image: Path, folder: Path) -> Path:
 
 
 def expect_axes(estimator: PoseEstimator) -> None:
-    """Check in advance that there is an object to draw axes on, and a camera to project them.
-
-    Raises:
-        ValueError: The network locates the camera, or the images' camera is not known.
-    """
-    if estimator.metadata.locates == "camera":
-        raise ValueError(
-            "overlay: expected weights that locate an object, got some that locate the camera"
-        )
+    """Raise a ValueError if there is no object to draw axes on, or no camera to project them."""
+    found = estimator.metadata.locates
+    expect(found == "object", "overlay", "weights that locate an object", found)
     if estimator.camera is None:
         raise ValueError("overlay: expected --camera FILE, as these weights know no camera")
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
-    """Check in advance that no overlay would overwrite another, or an image.
-
-    Raises:
-        ValueError: One would; the message says which.
-    """
+    """Raise a ValueError if an overlay would overwrite another, or an image."""
     first: dict[Path, Path] = {}
     known = {image.resolve() for image in images}
     for image in images:
         path = overlay_path(image, folder)
-        if path in first:
+        other = first.setdefault(path, image)
+        if other is not image:
             raise ValueError(
-                f"overlay: expected images of distinct names, got {first[path]} and {image}, "
-                f"both for {path}"
+                f"overlay: expected images of distinct names, got {other} and {image}, both for"
+                f" {path}"
             )
         if path.resolve() in known:
             raise ValueError(
                 f"overlay: expected a folder without the images, got {folder}, where that of"
                 f" {image} would overwrite {path}"
             )
-        first[path] = image
 
 
 def write_overlay(prediction: Prediction, folder: Path) -> Path:

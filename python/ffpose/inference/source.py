@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 from ffpose._internal.zoo import GRAPH, WEIGHTS, resolve
-from ffpose.errors import require
+from ffpose.errors import expect, require
 
 Backend = Literal["torch", "onnxruntime", "openvino"]
 """What computes a network: torch, for weights; one of the others, for an exported graph."""
@@ -41,20 +41,17 @@ def find_source(network: str | Path, backend: Backend | None = None) -> Source:
         ValueError: The backend is unknown, or does not compute such a file, or the folder holds
             several networks.
     """
-    if backend is not None and backend not in get_args(Backend):
-        raise ValueError(f"backend: expected one of {get_args(Backend)}, got {backend!r}")
+    known = get_args(Backend)
+    expect(backend in (None, *known), "backend", f"one of {known}", backend)
     path = Path(network)
     in_torch = backend == "torch" or (backend is None and all(map(find_spec, NEEDED_BY_WEIGHTS)))
     if path.is_dir():
         path = _network_in(path, backend, in_torch=in_torch) or path
     path = resolve(path, WEIGHTS if in_torch else GRAPH)
-    source = Source(path, path.suffix.lower() == GRAPH)
-    if source.is_graph:
-        if backend == "torch":
-            raise ValueError(
-                f"backend: expected onnxruntime or openvino for the graph {path}, got 'torch'"
-            )
-        return source
+    if path.suffix.lower() == GRAPH:
+        wanted = f"onnxruntime or openvino for the graph {path}"
+        expect(backend != "torch", "backend", wanted, backend)
+        return Source(path, is_graph=True)
     if backend not in (None, "torch"):
         raise ValueError(
             f"backend: expected torch for the weights {path}, got {backend!r}, which computes what"
@@ -62,7 +59,7 @@ def find_source(network: str | Path, backend: Backend | None = None) -> Source:
         )
     for module in NEEDED_BY_WEIGHTS:
         require(module, "pose")
-    return source
+    return Source(path, is_graph=False)
 
 
 def _network_in(folder: Path, backend: Backend | None, *, in_torch: bool) -> Path | None:

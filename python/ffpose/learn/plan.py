@@ -141,12 +141,9 @@ class TrainingPlan:
 def plan_trainings(
     minutes: float, speed: Speed, room: float = math.inf
 ) -> tuple[TrainingPlan, TrainingPlan]:
-    """Return the two trainings that fit into a budget.
+    """Return the two trainings that fit into a budget of wall time.
 
-    Args:
-        minutes: The budget, wall time.
-        speed: Of this machine.
-        room: Free bytes of the disk; the views of both take at most `ROOM_SHARE` of them.
+    The views of both take at most `ROOM_SHARE` of ``room``, the disk's free bytes.
 
     Examples:
         >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
@@ -189,14 +186,8 @@ def replanned(
 ) -> TrainingPlan:
     """Return a smaller second training, where the first took longer than planned.
 
-    The rest is taken to go as slowly.
-
-    Args:
-        second: As planned.
-        first: The training that is finished.
-        minutes: The whole budget.
-        speed: That it was planned with.
-        spent: Seconds that the first training took, all in all.
+    ``spent`` is how many seconds it took, all in all, and the rest is taken to go as slowly;
+    ``minutes`` and ``speed`` are what was planned with.
 
     Examples:
         >>> speed = Speed(views=30, samples=400)
@@ -221,11 +212,8 @@ def default_distances(reach_m: float, camera: Camera) -> tuple[float, float]:
     """Return the default least and greatest distance, meters.
 
     They are `NEAR_DIAMETERS` and `FAR_DIAMETERS`; for a camera whose view the spacecraft does not
-    fit into at the least, both are as many times as far as it needs.
-
-    Args:
-        reach_m: Radius of the bounding sphere, or what stands for it.
-        camera: Of the images.
+    fit into at the least, both are as many times as far as it needs. ``reach_m`` is the radius of
+    the bounding sphere, or what stands for it.
 
     Examples:
         >>> default_distances(1.0, DEFAULT_CAMERA)
@@ -234,12 +222,9 @@ def default_distances(reach_m: float, camera: Camera) -> tuple[float, float]:
         >>> round(near, 1), round(far, 1)
         (9.5, 50.4)
     """
-    slopes = (
-        min(camera.cx, camera.width - camera.cx) / camera.fx,
-        min(camera.cy, camera.height - camera.cy) / camera.fy,
-    )
+    across = min(camera.cx, camera.width - camera.cx) / camera.fx
+    slope = min(across, min(camera.cy, camera.height - camera.cy) / camera.fy)
     near, far = 2 * reach_m * NEAR_DIAMETERS, 2 * reach_m * FAR_DIAMETERS
-    slope = min(slopes)
     fits = ROOM_IN_VIEW * reach_m * math.hypot(1, slope) / slope if slope > 0 else near
     farther = max(1.0, fits / near)
     return near * farther, far * farther
@@ -259,10 +244,7 @@ def image_size(camera: Camera) -> tuple[int, int]:
 def first_stride(radius_m: float, farthest_m: float, camera: Camera) -> int:
     """Return the factor by which the first look's frame is smaller than the network's input.
 
-    Args:
-        radius_m: Greatest distance of the spacecraft's surface from its origin.
-        farthest_m: Distance from the camera.
-        camera: Of the images, which are resized to the input.
+    ``radius_m`` is the greatest distance of the spacecraft's surface from its origin.
 
     Examples:
         >>> [first_stride(1, farthest, DEFAULT_CAMERA) for farthest in (12, 24, 100)]
@@ -301,23 +283,12 @@ def training(
     symmetry: Path | None = None,
     world: int | None = None,
 ) -> TrainConfig:
-    """Return the configuration of a training.
+    """Return the configuration of one of the two trainings of a run, whose folder is ``out``.
 
-    Args:
-        out: Folder of the whole run.
-        scene: File of the set (`ffpose.render.scene_file`).
-        radius_m: Greatest distance of the spacecraft's surface from its origin.
-        distance_m: Least and greatest distance from the camera.
-        camera: Of the images.
-        plan: Which of the two trainings.
-        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-        seed: Of the views and of the network.
-        processes: Processes that render and prepare batches, of which some train together
-            (`training_processes`).
-        device: As of `ffpose.training.TrainConfig`.
-        init: Weights to start from.
-        symmetry: As of `ffpose.training.TrainConfig`.
-        world: Number of those that train; None for `training_processes`.
+    ``scene`` is the file of the set (`ffpose.render.scene_file`), ``radius_m`` the greatest
+    distance of the spacecraft's surface from its origin, ``distance_m`` the least and greatest from
+    the camera. Of the ``processes``, which render and prepare batches, ``world`` train together;
+    None for `training_processes`. The rest is as of `ffpose.training.TrainConfig`.
     """
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * plan.views)) for name in KINDS}
     world = world or training_processes(device, processes)

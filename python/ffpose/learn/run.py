@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 
 from ffpose import __version__
-from ffpose._internal.files import (
-    held,
-    read_json,
-    same_place,
-    sha256,
-    write_json,
-)
+from ffpose._internal.files import held, read_json, same_place, sha256, write_json
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
@@ -35,6 +29,7 @@ from ffpose.evaluation.report.results import write_results
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.learn.plan import (
+    BEYOND,
     DEFAULT_CAMERA,
     DEFAULT_INIT,
     NETWORK,
@@ -147,8 +142,8 @@ class LearnConfig:
                 "camera: expected one without distortion, got a distorted one; leave out the key"
                 " distortion here, and give the whole file to ffpose predict --camera"
             )
-        if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
-            raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")
+        near, far = self.distance_m or (1.0, 2.0)
+        expect(0 < near < far, "distance", "0 < near < far", self.distance_m)
         expect(self.processes >= 0, "processes", "0 or more", self.processes)
         expect(self.test_images >= 1, "test_images", "1 or more", self.test_images)
         size = test_size(self.camera)
@@ -175,8 +170,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     The folder gets ``best.safetensors`` and ``model.onnx`` (either is what `ffpose.load` opens, and
     so is the folder), ``report.html``, ``results.json``, ``card.md``, ``scene.json`` (the images,
     for ``ffpose render``), ``symmetry.json`` (what was folded, and what nearly looks the same) and
-    the two trainings' folders. What an interrupted run finished is not
-    repeated.
+    the two trainings' folders. What an interrupted run finished is not repeated.
 
     Args:
         config: What to learn.
@@ -242,8 +236,7 @@ def _learn(
     scene = scene_file.scene()
     record = _Record.open(config, scene.build().name)
     initial = _initial(config.init)
-    planned = record.plans is not None
-    symmetries = None if planned else find_symmetries(scene.build())
+    symmetries = find_symmetries(scene.build()) if record.plans is None else None
     group = SymmetryGroup.chosen(config.symmetry)
     config.out.mkdir(parents=True, exist_ok=True)
     if not there:
@@ -278,9 +271,8 @@ def _learn(
 
     if world == 1:
         world = record.world or training_processes(config.device, processes)
-    expect(
-        record.world in (None, world), "processes", f"{record.world} that train, as before", world
-    )
+    before = record.world or world
+    expect(world == before, "processes", f"{before} that train, as before", world)
     record.world = world
     if symmetries is not None:
         say("measuring the speed of this machine")
@@ -380,36 +372,33 @@ def _planned(
     """Return the table of what was chosen."""
     near, far = scene.distance_m
     rows, columns = image_size(config.camera)
-    camera, speed = config.camera, record.speed
-    assert record.plans is not None
+    camera, speed, plans = config.camera, record.speed, record.plans
+    assert plans is not None
     assert speed is not None
-    shares = [_told(plan) for plan in record.plans]
+    angles = ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
+    by = f"{processes} processes" if processes > 1 else "1 process"
+    nearer, farther = BEYOND
     lines = {
         "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
-        "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
+        "distances": f"{near:.3g} to {far:.3g} m; {nearer} and {farther} times these in training",
         "camera": f"{camera.width} x {camera.height}, fx {camera.fx:.1f}",
         "network": f"{NETWORK}, on {columns} x {rows} pixels",
         "starts from": "random weights" if config.init == "none" else f"weights {config.init}",
-        "attitudes": "roll, pitch, yaw within "
-        + ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
-        + " degrees",
+        "attitudes": f"roll, pitch, yaw within {angles} degrees",
         "symmetry": _folded(group),
-        "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, "
-        + (f"{processes} processes" if processes > 1 else "1 process"),
-        "first training": shares[0],
-        "second training": shares[1],
+        "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, {by}",
+        "first training": _told(plans[0]),
+        "second training": _told(plans[1]),
         "budget": f"{config.minutes:g} minutes",
     }
-    whole = whole_seconds(record.plans, speed) / 60
+    whole = whole_seconds(plans, speed) / 60
     if whole > 1.05 * config.minutes:
         lines["budget"] += f"; training, tests, card and graph may take {whole:.0f}"
-    chosen = [f"{name:16}{text}" for name, text in lines.items()]
     # Those that are not folded, as --symmetry says otherwise, are told too.
     others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
-    told = [f"{'not folded':16}{each}" for each in others]
     found = find_doubts(scene.scene().build(), y_up=is_y_up(config.mesh, config.mesh_up))
-    doubts = [f"{'doubtful':16}{each}" for each in found]
-    return "\n".join(chosen + told + doubts)
+    told = [("not folded", each) for each in others] + [("doubtful", each) for each in found]
+    return "\n".join(f"{name:16}{text}" for name, text in [*lines.items(), *told])
 
 
 def _told(plan: TrainingPlan) -> str:
@@ -492,12 +481,10 @@ def verdict(summary: dict[str, Any]) -> str:
     sources = summary, summary["mean_pose_baseline"]
     error, constant = (source["median_rotation_error_deg"] for source in sources)
     meters, constant_m = (source["median_translation_error_m"] for source in sources)
-    plain = summary.get("without_symmetry")
-    modulo = (
-        ""
-        if plain is None
-        else (f" modulo symmetry ({plain['median_rotation_error_deg']:.0f} without regard to it)")
-    )
+    modulo = ""
+    if (plain := summary.get("without_symmetry")) is not None:
+        without = plain["median_rotation_error_deg"]
+        modulo = f" modulo symmetry ({without:.0f} without regard to it)"
     text = (
         f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
         f" unseen images, of which {summary['share_over_30_deg']:.0%} are more than 30 degrees off;"
@@ -569,21 +556,13 @@ def _command(config: LearnConfig) -> list[str]:
     plain = LearnConfig(config.mesh, config.out)
     words = ["ffpose", "learn", str(config.mesh), "--out", str(config.out)]
     words += ["--minutes", f"{config.minutes:g}"]
-    for name in (
-        "mesh_scale",
-        "mesh_up",
-        "symmetry",
-        "init",
-        "seed",
-        "distance_m",
-        "attitude_range_deg",
-    ):
+    names = ("mesh_scale", "mesh_up", "mesh_center", "mesh_two_sided", "symmetry", "init", "seed")
+    for name in (*names, "distance_m", "attitude_range_deg"):
         value = getattr(config, name)
         if value != getattr(plain, name):
-            option = name.removesuffix("_m").removesuffix("_deg").replace("_", "-")
-            words += [f"--{option}", *map(str, value if isinstance(value, tuple) else [value])]
-    for name in ("mesh_center", "mesh_two_sided"):
-        words += [f"--{name.replace('_', '-')}"] * getattr(config, name)
+            words += ["--" + name.removesuffix("_m").removesuffix("_deg").replace("_", "-")]
+            if value is not True:
+                words += map(str, value if isinstance(value, tuple) else [value])
     return words if config.camera == plain.camera else [*words, "--camera", "FILE"]
 
 
@@ -633,14 +612,12 @@ class _Record:
             remedy = "remove the folder, or write to another"
             raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
         # Contents tell a file, by whatever path it is reached.
-        files = [
-            name for name in ("symmetry", "init") if f"{name}_sha256" in settings.keys() & there
-        ]
-        told = {"mesh", *files}
+        names = ("symmetry", "init")
+        hashed = {name for name in names if f"{name}_sha256" in settings.keys() & there} | {"mesh"}
         for name, value in settings.items():
-            if name not in told and name in there and not same_place(there[name], value):
+            if name in there and name not in hashed and not same_place(there[name], value):
                 raise ValueError(
-                    f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
+                    f"out: expected {name} {there[name]} as the run in {config.out}, got"
                     f" {value}; remove the folder, or write to another"
                 )
         return cls(settings, (one, two), autocast, speed, found.get("world"))

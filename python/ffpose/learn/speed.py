@@ -31,14 +31,9 @@ TOGETHER = 0.85
 
 
 def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
-    """Render and train a little, and forget it.
+    """Render and train a little, as a training of `ffpose.learn.plan.training`, and forget it.
 
-    Args:
-        config: A training of `ffpose.learn.plan.training`.
-        scene: Its set.
-
-    Returns:
-        Speed of all processes together, and the faster of the types of `TrainConfig.autocast`.
+    Returns the speed of all processes together, and the faster type of `TrainConfig.autocast`.
     """
     processes, renderers = config.processes, max(1, config.data.workers)
     fields = dict(config.model_fields)

@@ -16,7 +16,6 @@ from ffpose.errors import require
 from ffpose.onnx.nodes import Nodes, nodes_of, script_op
 
 DOMAIN = "com.microsoft"
-DOMAIN_VERSION = 1
 ATTENTION = "MultiHeadAttention"
 
 
@@ -37,7 +36,8 @@ def translate_attention(
     script = require("onnxscript", "export")
     known = len(query.shape) == 4 and all(isinstance(query.shape[axis], int) for axis in (1, 3))
     plain = attn_mask is None and not (dropout_p or is_causal or enable_gqa)
-    if not (plain and known and query.dtype == script.ir.DataType.FLOAT):
+    alike = known and query.shape[1] == key.shape[1] == value.shape[1]
+    if not (plain and alike and query.dtype == script.ir.DataType.FLOAT):
         torch_lib = require("onnxscript.function_libs.torch_lib.ops.nn", "export")
         return torch_lib.aten_scaled_dot_product_attention(
             query, key, value, attn_mask, dropout_p, is_causal, scale, enable_gqa
@@ -48,14 +48,9 @@ def translate_attention(
         op.Reshape(op.Transpose(part, perm=[0, 2, 1, 3]), op.Constant(value_ints=[0, 0, -1]))
         for part in (query, key, value)
     ]
-    attention = script_op(
-        ATTENTION,
-        DOMAIN,
-        DOMAIN_VERSION,
-        ("query", "key", "value"),
-        (("query", ("float",)),),
-        (("num_heads", "INT"), ("scale", "FLOAT")),
-    )
+    names, kinds = ("query", "key", "value"), (("query", ("float",)),)
+    settings = (("num_heads", "INT"), ("scale", "FLOAT"))
+    attention = script_op(ATTENTION, DOMAIN, names, kinds, settings)
     scale = 1 / math.sqrt(query.shape[3]) if scale is None else scale
     mixed = attention(*tokens, num_heads=heads, scale=scale)
     shape = op.Constant(value_ints=[0, 0, heads, channels])

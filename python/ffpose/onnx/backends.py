@@ -57,11 +57,9 @@ def open_session(
         FileNotFoundError: The library of the operator is not installed.
         RuntimeError: The backend cannot load graph or library.
     """
-    for name, value, known in (
-        ("backend", backend, get_args(Runtime)),
-        ("precision", precision, get_args(Precision)),
-    ):
-        expect(value in known, name, f"one of {known}", value)
+    expect(backend in get_args(Runtime), "backend", f"one of {get_args(Runtime)}", backend)
+    known = get_args(Precision)
+    expect(precision in known, "precision", f"one of {known}", precision)
     expect(threads is None or threads >= 1, "threads", "at least 1", threads)
     if backend == "onnxruntime":
         return OnnxRuntimeSession(model, filter, threads, providers, precision, data)
@@ -86,12 +84,12 @@ class OnnxRuntimeSession:
         data: bytes | None = None,
     ) -> None:
         self.arguments = (model, filter, threads, providers, precision, data)
-        self.runtime = require("onnxruntime", "onnx")
+        runtime = require("onnxruntime", "onnx")
         wanted = list(DEFAULT_PROVIDERS if providers is None else providers)
-        known = self.runtime.get_available_providers()
+        known = runtime.get_available_providers()
         if not wanted or not set(wanted) <= set(known):
             raise ValueError(f"providers: expected some of {known}, got {wanted}")
-        options = self.runtime.SessionOptions()
+        options = runtime.SessionOptions()
         if not has_vnni():  # int8 sums saturate on x86-64; no effect elsewhere
             options.add_session_config_entry("session.x64quantprecision", "1")
         if threads is not None:
@@ -112,9 +110,9 @@ class OnnxRuntimeSession:
                     f"ONNX Runtime cannot load the custom operator's library {library}, which must"
                     f" be of this architecture ({platform.machine()}): {error}"
                 ) from error
+        graph = str(model) if data is None else data
         try:
-            graph = str(model) if data is None else data
-            self.session = self.runtime.InferenceSession(graph, options, providers=wanted)
+            self.session = runtime.InferenceSession(graph, options, providers=wanted)
         except Exception as error:  # as above
             raise RuntimeError(f"ONNX Runtime cannot load {model}: {error}") from error
         self.inputs = [value.name for value in self.session.get_inputs()]

@@ -11,7 +11,7 @@ import contextlib
 import copy
 import io
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -173,8 +173,7 @@ def write_graph(
     the first of which is exported with; ``entries``, the file's metadata for how the graph computes
     its filters; ``differences``, which compares outputs of graph and module by name; and ``say``.
     """
-    if filter not in get_args(FilterChoice):
-        raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
+    expect(filter in get_args(FilterChoice), "filter", f"one of {get_args(FilterChoice)}", filter)
     expect_place(Path(path))
     for name, child in module.named_modules(prefix="module"):
         if child.training:
@@ -326,9 +325,8 @@ def _expect_names(
     if len(names) > most:
         raise ValueError(f"{name}: expected at most {most}, got {', '.join(names)}")
     if len({*taken, *names}) < len(taken) + len(names):
-        raise ValueError(
-            f"{name}: expected names of one value each, got {', '.join((*taken, *names))}"
-        )
+        got = ", ".join((*taken, *names))
+        raise ValueError(f"{name}: expected names of one value each, got {got}")
 
 
 def halve(model: Any) -> None:
@@ -381,24 +379,19 @@ def _compare(
 ) -> dict[str, float]:
     """Return the largest difference of each output over all batches."""
     session = open_session(path, kind)
-
-    def compared(args: tuple[Tensor, ...]) -> Mapping[str, float]:
-        got = session.run(*(arg.detach().numpy() for arg in args))
-        return differences(got, dict(zip(got, _outputs(module, args), strict=True)))
-
-    return _largest_of(map(compared, batches))
+    runs = ((args, session.run(*(arg.detach().numpy() for arg in args))) for args in batches)
+    return _largest_of(
+        differences(got, dict(zip(got, _outputs(module, args), strict=True))) for args, got in runs
+    )
 
 
 def _expect_repeatable(
     module: nn.Module, batches: Sequence[tuple[Tensor, ...]], tolerance: float
 ) -> None:
     """Refuse a module that gives something else when it is run again, as one that draws numbers."""
-
-    def run(args: tuple[Tensor, ...]) -> Outputs:
-        return {str(place): values for place, values in enumerate(_outputs(module, args))}
-
-    apart = _largest_of(relative_differences(run(args), run(args)) for args in batches)
-    largest = max(apart.values(), default=0.0)
+    runs = ([_outputs(module, args) for _ in range(2)] for args in batches)
+    apart = [_relative(*pair) for both in runs for pair in zip(*both, strict=True)]
+    largest = float(np.max(apart, initial=0.0))
     if not largest <= tolerance:
         raise ValueError(
             "module: expected one that gives the same result twice, got a difference of"
@@ -409,24 +402,20 @@ def _expect_repeatable(
 def _rounding(
     module: nn.Module,
     batches: Sequence[tuple[Tensor, ...]],
-    names: Iterable[str],
+    names: Collection[str],
     differences: Callable[[Outputs, Outputs], Mapping[str, float]],
 ) -> dict[str, float]:
     """Return the largest difference of each output from float64's; 0 where that cannot be run."""
-    exact, names = copy.deepcopy(module).double(), list(names)
-
-    def named(module: nn.Module, args: Iterable[Tensor]) -> Outputs:
-        return dict(zip(names, _outputs(module, args), strict=True))
-
-    def doubled(args: Iterable[Tensor]) -> list[Tensor]:
-        return [arg.double() if arg.is_floating_point() else arg for arg in args]
-
+    exact = copy.deepcopy(module).double()
+    found = []
     try:
-        return _largest_of(
-            differences(named(module, args), named(exact, doubled(args))) for args in batches
-        )
+        for args in batches:
+            doubled = [arg.double() if arg.is_floating_point() else arg for arg in args]
+            both = _outputs(module, args), _outputs(exact, doubled)
+            found.append(differences(*(dict(zip(names, each, strict=True)) for each in both)))
     except (RuntimeError, TypeError):  # of a type written into the module
         return dict.fromkeys(names, 0.0)
+    return _largest_of(found)
 
 
 def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
@@ -439,10 +428,8 @@ def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
 
 def _expect_dtype(name: str, tensor: Tensor) -> None:
     if tensor.dtype not in DTYPES:
-        raise TypeError(
-            f"{name}: expected float16, float32 or float64, whole numbers or bool, got"
-            f" {tensor.dtype}"
-        )
+        known = "float16, float32 or float64, whole numbers or bool"
+        raise TypeError(f"{name}: expected {known}, got {tensor.dtype}")
 
 
 def _largest_of(differences: Iterable[Mapping[str, float]]) -> dict[str, float]:

@@ -52,14 +52,14 @@ def quantize(
     Raises:
         RuntimeError: No node can be quantized.
     """
-    onnx, tools = require("onnx", "export"), require("onnxruntime.quantization", "export")
+    onnx, kinds = require("onnx", "export"), require("onnxruntime.quantization", "export").QuantType
     wanted = {
         node.name
         for node in onnx.load(str(graph)).graph.node
         if node.op_type in OPERATORS and set(PARTS) & set(_module_path(node))
     }
     folded = out.with_name("folded.onnx")
-    name = _fold(graph, folded, filter)
+    _fold(graph, folded, filter)
     model = onnx.load(str(folded))
     weights = {tensor.name: tensor.dims for tensor in model.graph.initializer}
     nodes = [
@@ -81,9 +81,9 @@ def quantize(
         model,
         per_channel=True,
         reduce_range=False,
-        weight_qType=tools.QuantType.QInt8,
-        activation_qType=tools.QuantType.QUInt8,
-        tensors_range=_ranges(folded, out.with_name("observed.onnx"), filter, name, inputs),
+        weight_qType=kinds.QInt8,
+        activation_qType=kinds.QUInt8,
+        tensors_range=_ranges(folded, out.with_name("observed.onnx"), filter, inputs),
         nodes_to_quantize=nodes + fused,
         nodes_to_exclude=[],
         op_types_to_quantize=[*OPERATORS, RELU],
@@ -104,15 +104,13 @@ def _module_path(node: Any) -> list[str]:
     return ".".join(scopes[:-1]).split(".")
 
 
-def _fold(graph: Path, folded: Path, filter: Filter) -> str:
-    """Write a graph with its batch norms folded into convolutions; return its input's name."""
+def _fold(graph: Path, folded: Path, filter: Filter) -> None:
+    """Write a graph with its batch norms folded into convolutions."""
     runtime = require("onnxruntime", "export")
     options = session_options(runtime, filter)
     options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_ENABLE_BASIC
     options.optimized_model_filepath = str(folded)
-    session = runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
-    name: str = session.get_inputs()[0].name
-    return name
+    runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
 
 
 def _separate_weights(graph: Any, names: set[str]) -> None:
@@ -136,7 +134,7 @@ def _separate_weights(graph: Any, names: set[str]) -> None:
 
 
 def _ranges(
-    graph: Path, observed: Path, filter: Filter, name: str, inputs: Iterable[NDArray[np.float32]]
+    graph: Path, observed: Path, filter: Filter, inputs: Iterable[NDArray[np.float32]]
 ) -> Any:
     """Return the ranges of the tensors about what is quantized, over all calibration batches."""
     runtime = require("onnxruntime", "export")
@@ -145,9 +143,8 @@ def _ranges(
     calibrator.augment_graph()
     options = session_options(runtime, filter)  # the calibrator's own know no library
     options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    calibrator.infer_session = runtime.InferenceSession(
-        str(observed), options, providers=["CPUExecutionProvider"]
-    )
+    session = runtime.InferenceSession(str(observed), options, providers=["CPUExecutionProvider"])
+    calibrator.infer_session, name = session, session.get_inputs()[0].name
     batches = ({name: batch} for batch in inputs)
     calibrator.collect_data(SimpleNamespace(get_next=lambda: next(batches, None)))
     return calibrator.compute_data()

@@ -48,9 +48,10 @@ class _Replacement(Nodes):
         matrices = filter_matrices(rows, columns)
         name = f"dft_{self.layout}_{rows}x{columns}"
         half = columns // 2 + 1
+        width = math.prod([half, *channels])
         y = self._columns(self._batched(), matrices.columns, f"{name}_columns")
-        y = self._rows(y, matrices, math.prod([half, *channels]), name)
-        y = self.reshape(y, (0, 2, rows, math.prod([half, *channels])))
+        y = self._rows(y, matrices, width, name)
+        y = self.reshape(y, (0, 2, rows, width))
         y = self.op("Transpose", y, perm=[0, 2, 1, 3])  # (B, rows, re/im, columns)
         y = self.reshape(y, (0, rows, 2 * half, *channels))
         y = self._columns(y, matrices.columns_back, f"{name}_columns_back")
@@ -68,7 +69,7 @@ class _Replacement(Nodes):
     def _rows(self, y: Any, matrices: FilterMatrices, columns: int, name: str) -> Any:
         """Write steps 2 to 4, for the spectrum's columns and channels as one axis."""
         n1, n2 = matrices.split
-        factors = filter_factors(self.weight, matrices.split).reshape(n1, 2, 2 * n2, columns)
+        factors = filter_factors(self.weight, (n1, n2)).reshape(n1, 2, 2 * n2, columns)
         if matrices.outer is not None:
             y = self.reshape(y, (0, 2 * n1, n2 * columns))
             y = self.op("MatMul", self._matrix(matrices.outer, f"{name}_outer"), y)

@@ -21,15 +21,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ffpose import __version__
 from ffpose.config import NetworkConfig, config_type
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
@@ -80,21 +80,11 @@ class ModelMetadata:
     def to_entries(self) -> dict[str, str]:
         """Return the entries, without the checksum."""
         view = self.config.view_camera
-        values = {
-            "preprocessing": self.preprocessing.to_dict(),
-            "camera": None if self.camera is None else asdict(self.camera),
-            "view_camera": None if view is None else asdict(view),
-            "in_view_threshold": self.in_view_threshold,
-            "degrees_of_freedom": self.config.degrees_of_freedom,
-        }
-        int8 = {
-            "precision": self.precision,
-            "calibration_sha256": self.calibration_sha256 or "",
-        }
         decoding: dict[str, Any] = {"undistorted": self.undistorted, "white": self.white}
         if self.distortion is not None:
-            decoding["distortion"] = list(self.distortion)
-        return {
+            decoding["distortion"] = self.distortion
+        float32 = self.precision == "float32"
+        entries = {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,
             "architecture": self.config.architecture,
@@ -102,15 +92,21 @@ class ModelMetadata:
             "filter": self.filter,
             "weights_sha256": self.weights_sha256 or "",
             "config": self.config.to_json(),
-            **({} if self.precision == "float32" else int8),
-            **({} if self.locates == "object" else {"locates": self.locates}),
-            **({"takes_point": "true"} if self.takes_point else {}),
-            **({"track_sha256": self.track_sha256} if self.track_sha256 else {}),
-            **({"tracking": _finite(self.tracking)} if self.tracking else {}),
-            **({"symmetry": json.dumps(self.symmetry.to_json())} if self.symmetry.axes else {}),
-            **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
-            **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
+            "precision": None if float32 else self.precision,
+            "calibration_sha256": None if float32 else self.calibration_sha256 or "",
+            "locates": None if self.locates == "object" else self.locates,
+            "takes_point": "true" if self.takes_point else None,
+            "track_sha256": self.track_sha256,
+            "tracking": _json(self.tracking) if self.tracking else None,
+            "symmetry": _json(self.symmetry.to_json()) if self.symmetry.axes else None,
+            "decoding": _json(decoding) if any(decoding.values()) else None,
+            "preprocessing": _json(self.preprocessing.to_dict()),
+            "camera": _json(self.camera and asdict(self.camera)),
+            "view_camera": _json(view and asdict(view)),
+            "in_view_threshold": _json(self.in_view_threshold),
+            "degrees_of_freedom": _json(self.config.degrees_of_freedom),
         }
+        return {name: value for name, value in entries.items() if value is not None}
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, str]) -> ModelMetadata:
@@ -128,8 +124,7 @@ class ModelMetadata:
         }
         told: dict[str, Any] = {"precision": "float32", "locates": "object", **entries}
         for name, known in choices.items():
-            if told[name] not in known:
-                raise ValueError(f"{name}: expected one of {known}, got {told[name]!r}")
+            expect(told[name] in known, name, f"one of {known}", told[name])
         camera = json.loads(entries["camera"])
         decoding = json.loads(entries.get("decoding", "{}"))
         if decoding.get("distortion") is not None:
@@ -198,10 +193,7 @@ def read_model(path: str | Path) -> tuple[ModelMetadata, bytes]:
         raise DataError(f"expected metadata that ffpose {version} wrote: {error}", path) from error
 
 
-def _finite(numbers: Mapping[str, float | str]) -> str:
-    """Return settings of a tracker as JSON, which has no infinity: the word that stands for it."""
-    told = {name: "inf" if value == math.inf else value for name, value in numbers.items()}
-    return json.dumps(told, allow_nan=False)
+_json = partial(json.dumps, allow_nan=False)
 
 
 def sealed(data: bytes) -> bytes:

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from ffpose.errors import require
 
+DOMAIN_VERSION = 1
+"""Version of every domain but that of the standard operators."""
+
 
 class Nodes:
     """New nodes of an `onnx_ir.Graph`, in their order, until `replace` puts them in.
@@ -40,8 +43,7 @@ class Nodes:
 
     def integers(self, values: Sequence[int]) -> Any:
         """Return a constant of int64."""
-        name = "_".join(["integers", *map(str, values)])
-        return self.constant(np.array(values, np.int64), name)
+        return self.constant(np.array(values, np.int64), "_".join(["integers", *map(str, values)]))
 
     def constant(self, values: NDArray[Any], name: str) -> Any:
         """Return the initializer of this name, made where there is none yet."""
@@ -72,30 +74,28 @@ def nodes_of(model: Any, domain: str, kind: str) -> list[Any]:
 def script_op(
     name: str,
     domain: str,
-    version: int,
     inputs: tuple[str, ...],
     types: tuple[tuple[str, tuple[str, ...]], ...],
-    attributes: tuple[tuple[str, str], ...],
+    attributes: tuple[tuple[str, str], ...] = (),
 ) -> Any:
-    """Return an operator, as onnxscript calls it, whose output has the type of its first input.
+    """Return a domain's operator for onnxscript, whose output has the type of its first input.
 
     ``types`` has, by input, the element types that it may have; inputs that are not named have the
     first's. Attributes are names and types, as ``("scale", "FLOAT")``.
     """
-    schemas = require("onnx.defs", "export")
+    schema = require("onnx.defs", "export").OpSchema
     values = require("onnxscript", "export").values
-    schema = schemas.OpSchema
     named = dict(types)
     parameters = [
         schema.FormalParameter(part, part if part in named else inputs[0]) for part in inputs
     ]
     return values.Op(
-        values.Opset(domain, version),
+        values.Opset(domain, DOMAIN_VERSION),
         name,
         schema(
             name,
             domain,
-            version,
+            DOMAIN_VERSION,
             inputs=parameters,
             outputs=[schema.FormalParameter("y", inputs[0])],
             type_constraints=[

@@ -23,7 +23,6 @@ from ffpose.onnx.attention import translate_attention
 from ffpose.onnx.nodes import script_op
 
 DOMAIN = "ffpose"
-DOMAIN_VERSION = 1
 SPECTRAL_FILTER = "SpectralFilter"
 SAMPLE_PYRAMID = "SamplePyramid"
 
@@ -53,27 +52,16 @@ def _halve(images: Any) -> Any:
 
 
 def _sample_pyramid(homographies: Any, levels: Any, plane: Any, pyramid: Sequence[Any]) -> Any:
-    names = ("finest", "half", "quarter", "eighth")
-    op = script_op(
-        SAMPLE_PYRAMID,
-        DOMAIN,
-        DOMAIN_VERSION,
-        ("homographies", "levels", "plane", *names),
-        (("homographies", ("float",)),),
-        (),
-    )
+    names = ("homographies", "levels", "plane", "finest", "half", "quarter", "eighth")
+    kinds = (("homographies", ("float",)),)
+    op = script_op(SAMPLE_PYRAMID, DOMAIN, names, kinds)
     return op(homographies, levels, plane, *pyramid)
 
 
 def _spectral_filter(x: Any, weight: Any, layout: str) -> Any:
-    op = script_op(
-        SPECTRAL_FILTER,
-        DOMAIN,
-        DOMAIN_VERSION,
-        ("x", "weight"),
-        (("x", FLOATS), ("weight", FLOATS)),
-        (("layout", "STRING"),),
-    )
+    names, kinds = ("x", "weight"), (("x", FLOATS), ("weight", FLOATS))
+    settings = (("layout", "STRING"),)
+    op = script_op(SPECTRAL_FILTER, DOMAIN, names, kinds, settings)
     return op(x, weight, layout=layout)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,6 @@ PATCHES = 8
 
 SHARE = 4
 """The shorter side of a random image over that of the square."""
-
 
 EDGE = 0.005
 """Probability of the few bins at the edge of a mode, which belong to it or not by a rounding."""
@@ -111,27 +111,23 @@ def graph_entries(
     **fields: Any,
 ) -> Callable[[Filter], dict[str, str]]:
     """Return what gives the metadata of a graph of these weights, for how it computes filters."""
-    digest = sha256(resolve(weights))
-
-    def entries(kind: Filter) -> dict[str, str]:
-        return ModelMetadata(
-            source.config.at_inference(fields),
-            source.preprocessing,
-            kind,
-            source.camera,
-            source.in_view_threshold,
-            digest,
-            locates=source.locates,
-            undistorted=source.undistorted,
-            distortion=source.distortion,
-            white=source.white,
-            takes_point=takes_point,
-            track_sha256=track_sha256,
-            tracking=source.tracking,
-            symmetry=source.symmetry,
-        ).to_entries()
-
-    return entries
+    described = ModelMetadata(
+        source.config.at_inference(fields),
+        source.preprocessing,
+        "none",
+        source.camera,
+        source.in_view_threshold,
+        sha256(resolve(weights)),
+        locates=source.locates,
+        undistorted=source.undistorted,
+        distortion=source.distortion,
+        white=source.white,
+        takes_point=takes_point,
+        track_sha256=track_sha256,
+        tracking=source.tracking,
+        symmetry=source.symmetry,
+    )
+    return lambda kind: replace(described, filter=kind).to_entries()
 
 
 def output_names(config: NetworkConfig) -> list[str]:

@@ -31,11 +31,7 @@ HOLDERS: Mapping[str, Mapping[int, str]] = {
 
 
 def read_entries(data: bytes) -> Iterator[tuple[str, str]]:
-    """Yield the keys and values of ``metadata_props`` in the bytes of an ONNX file.
-
-    Raises:
-        ValueError: The bytes are not a protobuf message.
-    """
+    """Yield keys and values of ``metadata_props`` in the bytes of an ONNX file, as `records`."""
     for field, entry in records(memoryview(data)):
         if field == METADATA_PROPS:
             parts = {number: bytes(part).decode() for number, part in records(entry)}
