@@ -365,8 +365,8 @@ class TrainConfig:
             0 for never.
         batch_size: Number of images per batch.
         accumulate: Number of batches whose gradients are accumulated for one step.
-        processes: Number of training processes on this machine, each with batches of its own; 1
-            under ``torchrun``, which starts the processes itself.
+        processes: Number of training processes on this machine, each with batches of its own; that
+            of ``torchrun`` where it starts them itself.
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"

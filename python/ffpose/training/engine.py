@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
-from ffpose.training.processes import accumulating, joined, started
+from ffpose.training.processes import accumulating, count_processes, joined, started
 from ffpose.training.progress import Reporter, events
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
@@ -101,8 +101,8 @@ def train(
     """
     if config.tensorboard:
         require("tensorboard", "tb")
-    folder = RunFolder(config.out)
-    folder.open(config, resume=resume)  # what is refused is refused before others are started
+    config = replace(config, processes=count_processes(config.processes))
+    RunFolder(config.out).open(config, resume=resume)  # refuses before others are started
     with started(config.processes, _train, config, resume, True, cpu_minutes):
         return _train(config, resume, quiet, cpu_minutes)
 
