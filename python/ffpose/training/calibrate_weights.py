@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+from PIL import Image
 from safetensors.torch import load
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
@@ -16,20 +20,17 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
+from ffpose.imaging.patches import Bytes
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.reprojection import agree, lens_of
-from ffpose.models import (
-    PolarPose,
-    WeightsMetadata,
-    load_network,
-    read_metadata,
-)
+from ffpose.models import PolarPose, WeightsMetadata, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.render import SCENES
 from ffpose.training.calibrate import Calibration, calibrate, with_calibration
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages
 from ffpose.training.provenance import scene_name
-from ffpose.training.tasks import VALIDATION_BATCH, standardized
+from ffpose.training.tasks import VALIDATION_BATCH
 
 LEAST_IMAGES = 10
 """Fewest labeled images; two variances and two tails are found of their errors."""
@@ -138,7 +139,7 @@ def write_calibrated(
     model = load_network(path)
     assert isinstance(model, PolarPose)
     preprocessing = images.whole.preprocessing
-    others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
+    others = [] if images.strangers is None else _standardized(images.strangers, preprocessing)
     cut = () if images.cut is None else _batches(images.cut)
     hard = chain.from_iterable(map(_batches, images.hard))
     found = calibrate(model, _batches(images.whole), others, cut, hard, metadata.symmetry)
@@ -162,3 +163,9 @@ def write_calibrated(
 
 def _batches(images: PoseDataset) -> Iterable[Sample]:
     return DataLoader(images, VALIDATION_BATCH)
+
+
+def _standardized(images: Bytes, preprocessing: Preprocessing) -> Iterator[Tensor]:
+    """Yield images ``(N, H, W, 3)`` as standardized batches of the network's input size."""
+    for part in np.split(images, range(VALIDATION_BATCH, len(images), VALIDATION_BATCH)):
+        yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])

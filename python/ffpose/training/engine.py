@@ -60,15 +60,18 @@ class TrainResult:
         history: The table of results, one row per epoch; ``samples`` and ``cpu_seconds`` count its
             training without the validation.
         best_epoch: Number of the epoch with the best weights.
-        seconds: Time spent in epochs, including those before an interruption.
         leads: Whether this is the process, of several, that wrote the files.
     """
 
     folder: RunFolder
     history: list[Row]
     best_epoch: int
-    seconds: float
-    leads: bool = True
+    leads: bool
+
+    @property
+    def seconds(self) -> float:
+        """Time spent in epochs, including those before an interruption."""
+        return sum(float(row["seconds"]) for row in self.history)
 
 
 def train(
@@ -139,7 +142,7 @@ def _train(
                 if cpu_minutes is not None and spent >= 60 * cpu_minutes:
                     break
                 if epoch.index == 0 and state.history:
-                    _return_to_best(run, state)
+                    run.average.restart(state.best)
                 row = _train_and_validate(run, epoch, reporter)
                 state.history.append(row)
                 _keep_best(run, state)
@@ -154,18 +157,7 @@ def _train(
                 if done_before.get("images") != run.calibration.about:
                     write_calibrated(weights, run.calibration)
         processes.wait()
-        seconds = sum(float(row["seconds"]) for row in state.history)
-        return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
-
-
-def _header(run: Run) -> dict[str, Any]:
-    return {
-        "preprocessing": run.task.val_set.preprocessing,
-        "backbone_source": run.average.model.backbone.source,
-        "recipe": recipe(run.config, run.init, run.symmetry),
-        "data": run.task.describe(run.config.data),
-        "dtype": getattr(torch, run.config.weights_dtype),
-    }
+        return TrainResult(folder, state.history, state.best_epoch, processes.leads)
 
 
 def _scores(run: Run, state: TrainState) -> list[float]:
@@ -187,11 +179,6 @@ def _keep_best(run: Run, state: TrainState) -> None:
         state.best_epoch = len(scores)
         weights = run.average.model.state_dict()
         state.best = {name: value.detach().clone() for name, value in weights.items()}
-
-
-def _return_to_best(run: Run, state: TrainState) -> None:
-    """Continue from the best weights so far, as a stage does after another."""
-    run.average.restart(state.best)
 
 
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
@@ -241,12 +228,18 @@ def cpu_seconds() -> float:
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
-    header = _header(run)
     if len(state.history) == 1:
         folder.save_state(TrainState())
-    if state.best_epoch == len(state.history):
-        run.average.model.save_pretrained(folder.best, **header)
-    run.average.model.save_pretrained(folder.last, **header)
+    is_best = state.best_epoch == len(state.history)
+    for weights in (folder.best, folder.last) if is_best else (folder.last,):
+        run.average.model.save_pretrained(
+            weights,
+            preprocessing=run.task.val_set.preprocessing,
+            backbone_source=run.average.model.backbone.source,
+            recipe=recipe(run.config, run.init, run.symmetry),
+            data=run.task.describe(run.config.data),
+            dtype=getattr(torch, run.config.weights_dtype),
+        )
     folder.save_results(state.history)
     state.model = run.model.state_dict()
     state.average = run.average.state_dict()

@@ -12,6 +12,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from ffpose._internal.files import read_text
 from ffpose._internal.options import check_spelling, join, restyle, split, wrong
 from ffpose.config import PRESETS
 from ffpose.errors import DataError, require
@@ -95,7 +96,7 @@ def _value(option: str, value: str) -> str:
             path = configs.resolve(value)
         except FileNotFoundError as error:
             raise wrong(str(error)) from error
-        check_document(path.read_text(encoding="utf-8"))
+        check_document(read_text(path))
         return str(path)
     nested, listed = option.startswith(OPEN), option in LISTS
     if value.startswith(("{", "[")):
@@ -151,7 +152,7 @@ def load_config(path: Path) -> TrainConfig:
     from jsonargparse import ArgumentError
 
     parser = field_parser()
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path)
     try:
         check_document(text)
         values = parser.instantiate(parser.parse_string(text))

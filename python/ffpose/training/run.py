@@ -13,7 +13,7 @@ from torch import nn
 
 from ffpose._internal.torch_internals import multiplies_bfloat16
 from ffpose._internal.zoo import resolve_initial
-from ffpose.config import PolarPoseConfig, looks_twice
+from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     BaseNetwork,
@@ -102,15 +102,16 @@ def build_run(
     # What the data decide is not known yet; the structure is.
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
     check_stages(model_config.parts, config.resolved_stages)
-    object_view = looks_twice(model_config)
     symmetry = IDENTITY if config.symmetry is None else SymmetryGroup.read(config.symmetry)
-    if len(symmetry) > 1 and not object_view:
+    if len(symmetry) > 1 and not looks_twice(model_config):
         raise ValueError(
             f"symmetry: expected with a network that looks twice, got it with {config.model}"
         )
     size, mode = model_config.image_size, config.data.mode
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
-    if object_view:  # what lies outside an image is zero for the virtual camera, and is black
+    if looks_twice(
+        model_config
+    ):  # what lies outside an image is zero for the virtual camera, and is black
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     with processes.leader_first():  # who renders and fills caches
         data = open_training_data(
@@ -122,14 +123,14 @@ def build_run(
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
-    if isinstance(model_config, PolarPoseConfig) and config.data.kind != "scenes":
-        _check_distances(data.poses, model_config.distance_m)
-    if config.normalize_translation and not object_view:
+    if data.train_set is not None and looks_twice(model_config):
+        _check_distances(data.train_set.poses, model_config.distance_m)
+    elif data.train_set is not None and config.normalize_translation:
         before = resumed if initial is None else read_metadata(initial)
-        if before is None or type(before.config) is not type(model_config):
-            fields |= translation_statistics(data.poses)
-        else:
-            fields |= scaled_as(before)
+        statistics = translation_statistics(data.train_set.poses)
+        if before is not None and type(before.config) is type(model_config):
+            statistics = {name: getattr(before.config, name) for name in statistics}
+        fields |= statistics
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
@@ -219,11 +220,6 @@ def _check_distances(poses: NDArray[np.float64], trained: Sequence[float]) -> No
             f" tell, got {low:.3g} to {high:.3g}; --model.distance-m {low:.3g},{high:.3g} trains"
             " such a network"
         )
-
-
-def scaled_as(weights: WeightsMetadata) -> dict[str, tuple[float, ...]]:
-    """Return the model's fields of `translation_statistics`, as weights were trained with them."""
-    return {name: getattr(weights.config, name) for name in ("translation_mean", "translation_std")}
 
 
 def build_optimizer(

@@ -18,14 +18,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from PIL import Image
-from torch import Tensor, nn
+from torch import nn
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.errors import expect
-from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, FrameNetwork, PolarPose
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import DataConfig
@@ -66,9 +63,9 @@ class Task(ABC):
         """Number of training images that an epoch uses, over all processes."""
 
     @property
-    @abstractmethod
     def steps(self) -> int:
-        """Number of batches per epoch in this process."""
+        """Number of batches per epoch in this process, the last of which may be smaller."""
+        return -(-(self.images // self.processes.world) // self.batch_size)
 
     @abstractmethod
     def batches(self, seed: int) -> Iterator[Any]:
@@ -121,11 +118,6 @@ class FrameTask(Task):
         """Number of training images that an epoch uses, over all processes."""
         world = self.processes.world
         return len(self.train_set) // world * world
-
-    @property
-    def steps(self) -> int:
-        """Number of batches per epoch in this process."""
-        return -(-(self.images // self.processes.world) // self.batch_size)
 
     def batches(self, seed: int) -> Iterator[Sample]:
         """Iterate once over the training split, in an order drawn from ``seed``.
@@ -190,12 +182,8 @@ class ObjectTask(Task):
     @property
     def images(self) -> int:
         """Number of training images that an epoch uses, over all processes: whole batches only."""
-        return self.steps * self.batch_size * self.processes.world
-
-    @property
-    def steps(self) -> int:
-        """Number of batches per epoch in this process."""
-        return len(self.patches) // self.processes.world // self.batch_size
+        together = self.batch_size * self.processes.world
+        return len(self.patches) // together * together
 
     def batches(self, seed: int) -> Iterator[Prepared]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
@@ -234,16 +222,7 @@ class ObjectTask(Task):
         return describe_data(config, np.concatenate(labels)[:, :7], self.val_set, digest)
 
 
-def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
-    """Yield images ``(N, H, W, 3)`` as standardized batches of the network's input size."""
-    for start in range(0, len(images), VALIDATION_BATCH):
-        part = images[start : start + VALIDATION_BATCH]
-        yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
-
-
-def prefetched(
-    batches: Iterator[Prepared],
-) -> Iterator[Prepared]:
+def prefetched(batches: Iterator[Prepared]) -> Iterator[Prepared]:
     """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)
