@@ -6,6 +6,7 @@ the paper (section 4.3) where it states a value.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -241,6 +242,24 @@ class OptimizerConfig:
         expect_least(self, "optimizer.", weight_decay=0, clip_norm=0, step_epochs=1)
         expect_least(self, "optimizer.", warmup_epochs=0)
         check_choices(self, "optimizer.")
+
+    def rate(self, position: float, epochs: int) -> float:
+        """Return the learning rate at a position in a stage of so many epochs, 0 to ``epochs``.
+
+        The warm-up factor rises linearly and multiplies the schedule's rate. It is a function of
+        the position alone, so checkpoints need no scheduler.
+
+        Examples:
+            >>> paper = OptimizerConfig()
+            >>> [f"{paper.rate(epoch, 500):.0e}" for epoch in (0.1, 199.9, 200, 400.5)]
+            ['1e-04', '1e-04', '1e-05', '1e-06']
+        """
+        rise = min(1.0, position / self.warmup_epochs) if self.warmup_epochs > 0 else 1.0
+        if self.schedule == "cosine":
+            fall = 0.5 * (1 + math.cos(math.pi * position / epochs))
+        else:
+            fall = self.step_factor ** (position // self.step_epochs)
+        return self.learning_rate * rise * fall
 
 
 MUON = OptimizerConfig("muon", 4e-3, eps=1e-8, clip_norm=1.0, schedule="cosine")

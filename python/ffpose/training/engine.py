@@ -35,7 +35,6 @@ from ffpose.training.processes import accumulating, count_processes, joined, sta
 from ffpose.training.progress import Reporter, events
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
-from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, next_epoch
 from ffpose.training.tasks import Objective
 
@@ -269,8 +268,8 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
     began, waits = time.perf_counter(), list[float]()
     for step, batch in enumerate(awaited(run.task.batches(seed), waits), start=1):
-        position = epoch.index + (step - 0.5) / steps  # the step's middle
-        rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
+        position = epoch.index + (step - 0.5) / steps  # the middle, where no schedule is at zero
+        rate = run.config.optimizer.rate(position, epoch.stage.epochs)
         # Number of batches whose gradients make one step; the last step may have fewer.
         share = min(every, steps - (step - 1) // every * every)
         last = step % every == 0 or step == steps
