@@ -1,14 +1,12 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from ffpose.errors import DataError
-from ffpose.models import PRESETS
 from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
-from ffpose.training.config import CalibrationImages, ModelName
+from ffpose.training.config import CalibrationImages
 from ffpose.training.options import (
     dump_config,
     field_parser,
@@ -49,10 +47,6 @@ def test_yaml_brings_back_what_was_written(tmp_path):
     path = tmp_path / "config.yaml"
     path.write_text(dump_config(original))
     assert load_config(path) == original
-
-
-def test_the_models_are_those_that_there_are():
-    assert get_args(ModelName) == tuple(PRESETS)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from ffpose.models.weights import write_weights
 from ffpose.render import SCENES
 from ffpose.training.calibrate import Calibration, calibrate, with_calibration
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
-from ffpose.training.config import CalibrationImages
+from ffpose.training.config import VARIANTS, CalibrationImages
 from ffpose.training.provenance import scene_name
 from ffpose.training.tasks import VALIDATION_BATCH
 
@@ -37,10 +37,7 @@ LEAST_IMAGES = 10
 
 
 def calibrate_weights(
-    weights: str | Path,
-    images: CalibrationImages,
-    *,
-    out: Path | None = None,
+    weights: str | Path, images: CalibrationImages, *, out: Path | None = None
 ) -> Calibration:
     """Calibrate a weights file on images that are opened, or rendered, as its network sees them.
 
@@ -64,9 +61,7 @@ def calibrate_weights(
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     expect_place(resolve(weights) if out is None else out)
     if images.kind == "scenes":
-        images = _as_trained(images, metadata)
-    if images.kind == "scenes":
-        opened = open_calibration(images, metadata.preprocessing)
+        opened = open_calibration(_as_trained(images, metadata), metadata.preprocessing)
     else:
         opened = _labeled(images, metadata)
     return write_calibrated(weights, opened, out=out)
@@ -81,10 +76,11 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
     opened.whole.expect_target(metadata.locates)
     camera, view = opened.whole.camera, metadata.config.view_camera
     assert view is not None  # a second look points a camera
-    seen = None
-    if camera is not None and lens_of(camera) is None:
-        seen = metadata.preprocessing.camera(camera)
-    if seen is None or not agree(seen, view):
+    if (
+        camera is None
+        or lens_of(camera) is not None
+        or not agree(metadata.preprocessing.camera(camera), view)
+    ):
         raise ValueError(
             f"data: expected images of the weights' camera, {metadata.camera}, without distortion,"
             f" got {'those of several' if camera is None else camera}"
@@ -121,14 +117,8 @@ def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> Calibra
         for name in ("distance", "attitude_range_deg")
         if name in seen and getattr(images, name) == getattr(plain, name)
     }
-    return replace(
-        images,
-        scene=scene,
-        cut=images.cut or seen.get("cut", 0) > 0,
-        randomized=images.randomized or seen.get("randomized", 0) > 0,
-        dusk=images.dusk or seen.get("dusk", 0) > 0,
-        **ranges,
-    )
+    kinds = {kind: getattr(images, kind) or seen.get(kind, 0) > 0 for kind in VARIANTS}
+    return replace(images, scene=scene, **kinds, **ranges)
 
 
 def write_calibrated(
