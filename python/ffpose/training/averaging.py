@@ -39,10 +39,8 @@ class AveragedModel(Generic[Model]):
         self.steps = 0
         self.trained = model
         self.model = deepcopy(model).requires_grad_(False) if decay > 0 else model
-        self.initial = {}
-        if init_share > 0:
-            state = self.model.state_dict()
-            self.initial = {name: value.clone() for name, value in state.items()}
+        state = self.model.state_dict() if init_share > 0 else {}
+        self.initial = {name: value.clone() for name, value in state.items()}
 
     @torch.no_grad()
     def update(self) -> None:
@@ -71,14 +69,12 @@ class AveragedModel(Generic[Model]):
         """
         self.steps = 0
         self.model.load_state_dict(state)  # which may be on another device
-        state = self.model.state_dict()
-        share = self.init_share if self.initial else 0.0
         self.trained.load_state_dict(
             {
-                name: torch.lerp(self.initial[name], value, 1 / (1 - share))
-                if share > 0 and value.is_floating_point()
+                name: torch.lerp(self.initial[name], value, 1 / (1 - self.init_share))
+                if self.initial and value.is_floating_point()
                 else value
-                for name, value in state.items()
+                for name, value in self.model.state_dict().items()
             }
         )
 

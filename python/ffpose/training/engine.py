@@ -33,7 +33,6 @@ from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
 from ffpose.training.processes import accumulating, count_processes, joined, started
 from ffpose.training.progress import Reporter, events
-from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.stages import Epoch, enter_stage, next_epoch
 from ffpose.training.tasks import Objective
@@ -183,10 +182,12 @@ def _keep_best(run: Run, state: TrainState) -> None:
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
     """Restore ``run`` from ``state``, and check that stages and data agree with its history."""
     _next_epoch(run, state)
-    now = run.task.describe(run.config.data), run.model.config.camera
     expected, got = (
         f"{data.get('count')} images of digest {str(data.get('digest'))[:12]} and camera {camera}"
-        for data, camera in ((resumed.data or {}, resumed.config.camera), now)
+        for data, camera in (
+            (resumed.data or {}, resumed.config.camera),
+            (run.data, run.model.config.camera),
+        )
     )
     if expected != got:
         raise ValueError(
@@ -235,8 +236,8 @@ def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
             weights,
             preprocessing=run.task.val_set.preprocessing,
             backbone_source=run.average.model.backbone.source,
-            recipe=recipe(run.config, run.init, run.symmetry),
-            data=run.task.describe(run.config.data),
+            recipe=run.recipe,
+            data=run.data,
             dtype=getattr(torch, run.config.weights_dtype),
         )
     folder.save_results(state.history)
@@ -311,12 +312,14 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
     if run.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
         became = f"the loss became {float(values[0])}" if not finite else "a loss is not finite"
         where = f"images: {run.task.names(batch)}" if not finite else "in another process"
-        raise NonFiniteLossError(
-            f"{became} in epoch {epoch.number}; {where}. Another seed, a clip_norm, or a lower"
-            f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g} may help"
-        )
+        raise _diverged(run, f"{became} in epoch {epoch.number}; {where}")
     torch.autograd.backward(terms.total / share)
     return values
+
+
+def _diverged(run: Run, found: str) -> NonFiniteLossError:
+    rate = f"a lower optimizer.learning_rate than {run.config.optimizer.learning_rate:g}"
+    return NonFiniteLossError(f"{found}. Another seed, a clip_norm, or {rate} may help")
 
 
 def _step(run: Run, rate: float) -> None:
@@ -350,11 +353,7 @@ def validate(run: Run) -> Row:
         pose = model(batch.image.to(run.device))
         t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()
         if not bool(t_hat.isfinite().all() and q_hat.isfinite().all()):
-            raise NonFiniteLossError(
-                "training diverged: the poses of validation images are not finite; a lower"
-                f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g}, or a"
-                " clip_norm, may help"
-            )
+            raise _diverged(run, "training diverged: poses of validation images are not finite")
         truth = run.symmetry.nearest(*(q.double().numpy() for q in (q_hat, batch.orientation)))
         metric.update(t_hat, q_hat, batch.translation, torch.from_numpy(truth))
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
+from ffpose.imaging.patches import Arrays
 from ffpose.imaging.reprojection import lens_of
 from ffpose.models import read_metadata
 from ffpose.render import find_scene
@@ -93,6 +95,15 @@ def describe_data(
         "mean_pose": mean_pose(poses).tolist(),
         "digest": digest.hexdigest(),
     }
+
+
+def describe_patches(
+    patches: Sequence[Arrays], val_set: PoseDataset, config: DataConfig
+) -> dict[str, Any]:
+    """Describe stored patches as `describe_data`; the digest is of their labels."""
+    labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in patches]
+    digest = hashlib.sha256(b"".join(part.tobytes() for part in labels))
+    return describe_data(config, np.concatenate(labels)[:, :7], val_set, digest)
 
 
 def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from ffpose.training.muon import Muon, matrices
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import ALONE, Processes
-from ffpose.training.provenance import origin
+from ffpose.training.provenance import describe_images, describe_patches, origin, recipe
 from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 
@@ -52,10 +52,10 @@ class Run:
         task: Batches, loss and validation.
         processes: This process's place among those that train together.
         device: Where the network computes.
-        init: Provenance of the initial weights (`ffpose.training.provenance.origin`); None for
-            none.
         calibration: Images that calibrate a network with a second look.
         symmetry: The rotations that labels and errors are modulo.
+        recipe: What the weights' header says of the training (`ffpose.training.provenance`).
+        data: What it says of the training images.
     """
 
     config: TrainConfig
@@ -64,10 +64,11 @@ class Run:
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
-    processes: Processes = ALONE
-    init: dict[str, Any] | None = None
-    calibration: CalibrationSet | None = None
-    symmetry: SymmetryGroup = IDENTITY
+    processes: Processes
+    calibration: CalibrationSet | None
+    symmetry: SymmetryGroup
+    recipe: dict[str, Any]
+    data: dict[str, Any]
 
 
 def build_run(
@@ -144,8 +145,21 @@ def build_run(
     task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema, config.init_share)
-    images = data.calibration
-    return Run(config, model, average, optimizer, task, device, processes, init, images, symmetry)
+    return Run(
+        config,
+        model,
+        average,
+        optimizer,
+        task,
+        device,
+        processes,
+        data.calibration,
+        symmetry,
+        recipe(config, init, symmetry),
+        describe_patches(data.patches, data.val_set, config.data)
+        if isinstance(task, ObjectTask)
+        else describe_images(task.train_set, config.data),
+    )
 
 
 def chosen_autocast(
@@ -164,7 +178,7 @@ def _task(
     device: torch.device,
     processes: Processes,
     symmetry: SymmetryGroup,
-) -> Task:
+) -> FrameTask | ObjectTask:
     shared = config.batch_size, config.data.workers, processes
     if isinstance(model, PolarPose):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS

@@ -36,9 +36,6 @@ class Stage:
         expect(self.epochs >= 1, f"stage {self.name!r}", "at least 1 epoch", self.epochs)
 
 
-HEADS = {"orientation_branch": "orientation"}
-"""Modules that are frozen with a part, whose outputs they turn into attitudes."""
-
 JOINT_STAGE = Stage("joint", 500)
 """First stage of the paper: everything is trained."""
 
@@ -119,8 +116,8 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
             )
 
 
-LOSS_WEIGHTS = {"translation_branch": "s_t", "orientation_branch": "s_q"}
-"""The learned weight of each branch's loss (`ffpose.training.losses.JointLoss`)."""
+FROZEN_WITH = {"translation_branch": ("s_t",), "orientation_branch": ("s_q", "orientation")}
+"""Learned weights of a branch's loss (`ffpose.training.losses.JointLoss`), and its head."""
 
 
 def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
@@ -128,13 +125,13 @@ def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
 
     A frozen part gets no gradient and stays in evaluation mode: no dropout, and batch norm uses its
     running statistics unchanged. The learned weight of a frozen branch's loss gets none either: the
-    branch's errors do not fall any more, and would only move it. Safe to call at every epoch.
+    branch's errors do not fall any more, and would only move it.
     """
+    frozen = {name for part in stage.freeze for name in (part, *FROZEN_WITH.get(part, ()))}
     for name, weight in loss.named_parameters():
-        weight.requires_grad_(name not in {LOSS_WEIGHTS.get(part) for part in stage.freeze})
+        weight.requires_grad_(name not in frozen)
     model.train()
     model.requires_grad_(True)
-    frozen = {*stage.freeze, *(HEADS[part] for part in stage.freeze if part in HEADS)}
     for name, part in model.named_children():
         if name in frozen:
             part.eval().requires_grad_(False)

@@ -8,7 +8,6 @@ whole images.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -16,7 +15,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch import nn
 from torch.utils.data import DataLoader
@@ -25,12 +23,10 @@ from ffpose.datasets import PoseDataset, Sample
 from ffpose.errors import expect
 from ffpose.models import BaseNetwork, FrameNetwork, PolarPose
 from ffpose.nn.orientation import QuaternionHead
-from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch, PatchBatches, Prepared
 from ffpose.training.processes import Processes
-from ffpose.training.provenance import describe_data, describe_images
 
 LEAST_BATCHES = 4
 """Batches of an epoch for each worker, or more: fewer do not pay for its start."""
@@ -75,22 +71,19 @@ class Task(ABC):
     def terms(self, model: BaseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
-    @abstractmethod
     def names(self, batch: Any) -> str:
-        """Return the names of a batch's images, for error messages."""
+        """Return the names of a batch's images, or their indices, for error messages."""
+        return ", ".join(map(str, batch.index.tolist()))
 
     def weights(self) -> dict[str, float]:
-        """Return the learnable weights of the loss, for the table of results."""
-        return {}
+        """Return the learnable weights of the loss's terms, for the table of results."""
+        learned = self.loss.named_parameters()
+        return {name: value.item() for name, value in learned if value.dim() == 0}
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
         share = self.processes.share(len(self.val_set))
         return iter(DataLoader(self.val_set, VALIDATION_BATCH, sampler=share))
-
-    @abstractmethod
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Describe the training images, for the header of the weights."""
 
 
 class Objective(nn.Module):
@@ -155,17 +148,9 @@ class FrameTask(Task):
         """Return the file names of a batch."""
         return ", ".join(self.train_set.names[int(i)] for i in torch.as_tensor(batch.index))
 
-    def weights(self) -> dict[str, float]:
-        """Return the two weights where they are learned."""
-        return {name: value.item() for name, value in self.loss.named_parameters()}
-
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
         return self._loader(self.val_set, sampler=self.processes.share(len(self.val_set)))
-
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, number, size, mean pose and digest of the training images."""
-        return describe_images(self.train_set, config)
 
 
 @dataclass(eq=False)
@@ -210,16 +195,6 @@ class ObjectTask(Task):
                 batch = self.patches.augmented(batch)
         result: LossTerms = self.loss(model, batch)
         return result
-
-    def names(self, batch: Prepared) -> str:
-        """Return the indices of a batch's patches."""
-        return ", ".join(map(str, batch.index.tolist()))
-
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
-        labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.patches.sets]
-        digest = hashlib.sha256(b"".join(part.tobytes() for part in labels))
-        return describe_data(config, np.concatenate(labels)[:, :7], self.val_set, digest)
 
 
 def prefetched(batches: Iterator[Prepared]) -> Iterator[Prepared]:
