@@ -40,8 +40,7 @@ from ffpose.training.tasks import Objective
 SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
 """Column whose lowest value selects the best epoch; it combines both errors without units.
 
-The ESA score divides by the distance to the object. Where the camera is located in a world, the
-distance to its origin means nothing; the scene score divides by the spread of the positions.
+Of an object it divides by the distance; of a camera, by the spread of the positions.
 """
 
 
@@ -165,7 +164,7 @@ def _scores(run: Run, state: TrainState) -> list[float]:
 
 
 def _next_epoch(run: Run, state: TrainState) -> Epoch | None:
-    stages = [str(row["stage"]) for row in state.history]
+    stages = (str(row["stage"]) for row in state.history)
     finished = list(zip(stages, _scores(run, state), strict=True))
     return next_epoch(run.config.resolved_stages, finished, run.config.patience)
 
@@ -214,10 +213,9 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     row |= train_epoch(run, epoch, reporter)
     rate = run.task.images / (time.perf_counter() - began)
     spent = run.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
-    cost: Row = {"samples": run.task.images, "cpu_seconds": float(spent)}
     row |= validate(run)
-    seconds = time.perf_counter() - began
-    return row | cost | {"images_per_second": rate, "seconds": seconds}
+    row |= {"samples": run.task.images, "cpu_seconds": float(spent), "images_per_second": rate}
+    return row | {"seconds": time.perf_counter() - began}
 
 
 def cpu_seconds() -> float:
@@ -337,11 +335,10 @@ def _step(run: Run, rate: float) -> None:
 def validate(run: Run) -> Row:
     """Return the errors on the validation split, named as in `PoseError` with prefix ``val_``.
 
-    Rotation errors are modulo the run's symmetry.
-
-    Where labels locate the camera, ``val_scene_score`` besides: the median position error, relative
-    to the spread of the split's positions, plus the median rotation error in radians. Each process
-    computes its share; the metric brings them together.
+    Rotation errors are modulo the run's symmetry. Where labels locate the camera,
+    ``val_scene_score`` besides: the median position error, relative to the spread of the split's
+    positions, plus the median rotation error in radians. Each process computes its share; the
+    metric brings them together.
 
     Raises:
         NonFiniteLossError: A pose is not finite.
@@ -350,16 +347,14 @@ def validate(run: Run) -> Row:
     model = run.average.model.eval()
     metric = PoseError(run.task.val_set.target, process_group=run.processes.patient)
     for batch in run.task.validation():
-        pose = model(batch.image.to(run.device))
-        t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()
+        t_hat, q_hat = (part.cpu() for part in model(batch.image.to(run.device))[:2])
         if not bool(t_hat.isfinite().all() and q_hat.isfinite().all()):
             raise _diverged(run, "training diverged: poses of validation images are not finite")
         truth = run.symmetry.nearest(*(q.double().numpy() for q in (q_hat, batch.orientation)))
         metric.update(t_hat, q_hat, batch.translation, torch.from_numpy(truth))
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
-    val_set = run.task.val_set
-    if val_set.target == "camera":
-        position = float(row["val_median_translation_error_m"]) / val_set.spread
+    if run.task.val_set.target == "camera":
+        position = float(row["val_median_translation_error_m"]) / run.task.val_set.spread
         rotation = math.radians(float(row["val_median_rotation_error_deg"]))
         row["val_scene_score"] = position + rotation
     return row

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ffpose._internal.files import read_text
 from ffpose._internal.options import check_spelling, join, restyle, split, wrong
@@ -55,8 +55,7 @@ def add_fields(parser: ArgumentParser) -> None:
 
 def field_parser() -> ArgumentParser:
     """Return a parser of the fields alone."""
-    jsonargparse = require("jsonargparse", "pose")
-    parser = cast("ArgumentParser", jsonargparse.ArgumentParser(exit_on_error=False))
+    parser: ArgumentParser = require("jsonargparse", "pose").ArgumentParser(exit_on_error=False)
     add_fields(parser)
     return parser
 

@@ -5,11 +5,10 @@ boresight; the virtual camera of the second look is pointed to where a first loo
 the object, and rotated about the viewing ray by any angle. Each is one homography of the stored
 pixels, and the label changes exactly with it (`ffpose.models.virtual_camera`). Of the attitudes in
 which a symmetric object looks the same, the label is the one that is seen from the direction
-nearest to a reference in the object's frame (`ffpose.geometry.symmetry`). That choice does not
-depend on the camera's rotation about the viewing ray, so labels stay equivariant to it; it depends
-on no prediction, so attitude, object coordinates and keypoints agree. Brightness, blur and noise
-are varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings
-of other resolutions, which they do not know.
+nearest to a reference in the object's frame (`ffpose.geometry.symmetry`): equivariant to the
+camera's rotation about the viewing ray, and of no prediction, so that attitude, object coordinates
+and keypoints agree. Brightness, blur and noise are varied before, in the stored pixels, as a camera
+makes them: a polar view has a seam and rings of other resolutions, which they do not know.
 
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
 once from whole patches. It holds all of them where its memory has room (`PatchBatches.held`), and
