@@ -177,9 +177,6 @@ def _store() -> Store:
     ``torchrun`` keeps one store over its restarts of a group (PyTorch issue 135712): a process that
     is early would find the addresses of those that ended, and wait for them. On one machine the
     starts are counted; on several the counts differ, and docs/training.md names the remedy.
-
-    Raises:
-        ChildProcessError: A process that `started` has started ended instead of coming here.
     """
     for own, others in _beside:  # torch would wait for the dead, deaf to signals
         while own.add(JOINED, 0) < len(others):

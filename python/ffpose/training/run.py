@@ -94,11 +94,10 @@ def build_run(
     """
     device = find_device(config.device)
     config = replace(config, autocast=chosen_autocast(config.autocast, device))
-    initial = None
-    if resumed is None and config.init is not None:
-        initial = resolve_initial(config.init)
-        if not initial.is_file():
-            raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
+    given = None if resumed else config.init
+    initial = None if given is None else resolve_initial(given)
+    if initial is not None and not initial.is_file():
+        raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
     fields = dict(config.model_fields)
     # What the data decide is not known yet; the structure is.
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
@@ -110,17 +109,12 @@ def build_run(
         )
     size, mode = model_config.image_size, config.data.mode
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
-    if looks_twice(
-        model_config
-    ):  # what lies outside an image is zero for the virtual camera, and is black
+    if looks_twice(model_config):  # a virtual camera sees zero outside an image, which is black
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     with processes.leader_first():  # who renders and fills caches
+        dense = config.object_loss.renders
         data = open_training_data(
-            config.data,
-            model_config,
-            preprocessing,
-            coordinates=config.object_loss.renders,
-            quiet=quiet,
+            config.data, model_config, preprocessing, coordinates=dense, quiet=quiet
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
@@ -131,7 +125,7 @@ def build_run(
         statistics = translation_statistics(data.train_set.poses)
         if before is not None and type(before.config) is type(model_config):
             statistics = {name: getattr(before.config, name) for name in statistics}
-        fields |= statistics
+        fields = statistics | fields
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)

@@ -177,15 +177,8 @@ class ObjectTask(Task):
         if workers == 0 or sys.platform != "linux":  # others copy the patches to each worker
             return prefetched(epoch[number] for number in range(len(epoch)))
         own = torch.Generator()  # or the network's random numbers would depend on the workers
-        return iter(
-            DataLoader(
-                epoch,
-                batch_size=None,
-                num_workers=workers,
-                multiprocessing_context="fork",
-                generator=own,
-            )
-        )
+        forked: dict[str, Any] = {"num_workers": workers, "multiprocessing_context": "fork"}
+        return iter(DataLoader(epoch, batch_size=None, generator=own, **forked))
 
     def terms(self, model: BaseNetwork, batch: Prepared, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
