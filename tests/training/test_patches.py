@@ -586,7 +586,10 @@ def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):
 
 def test_patches_that_a_device_holds_are_the_same_batches(model, dotted):
     """What is drawn is small, and the patches come from where they are held."""
-    views = batches(model, [dotted, dotted], greens(dotted), empty=0.25, jpeg=0.3)
+    mapped = {name: array.view() for name, array in dotted.items()}
+    for array in mapped.values():
+        array.flags.writeable = False  # as of files
+    views = batches(model, [mapped, mapped], greens(dotted), empty=0.25, jpeg=0.3)
     made = list(views.epoch(3, 16))
     views.hold()
     drawn = list(views.epoch(3, 16))

@@ -27,10 +27,7 @@ Model = TypeVar("Model", bound=nn.Module)
 class AveragedModel(Generic[Model]):
     """A copy of a network whose weights are the moving average of its; the decay 0 keeps none.
 
-    Args:
-        model: The network that is trained.
-        decay: Of the moving average, 0 for none.
-        init_share: Share of the present weights in the copy's from now on.
+    ``init_share`` of the present weights stays in the copy's from now on.
     """
 
     def __init__(self, model: Model, decay: float, init_share: float = 0.0) -> None:

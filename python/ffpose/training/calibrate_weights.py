@@ -133,16 +133,13 @@ def write_calibrated(
     cut = () if images.cut is None else _batches(images.cut)
     hard = chain.from_iterable(map(_batches, images.hard))
     found = calibrate(model, _batches(images.whole), others, cut, hard, metadata.symmetry)
-    about: dict[str, Any] = {
-        "command": command_of(Path(weights).name, images.config),
-        "images": images.about,
-    }
     threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
+    command = command_of(Path(weights).name, images.config)
     header = replace(
         metadata,
         config=with_calibration(model.config, found),
         in_view_threshold=threshold,
-        calibration=about,
+        calibration={"command": command, "images": images.about},
         version=__version__,
     )
     # Not mapped, as by `load_file`: `out` may be this file, and Windows replaces no mapped one.

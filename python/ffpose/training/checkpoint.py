@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +113,7 @@ class RunFolder:
     def save_state(self, state: TrainState) -> None:
         """Write the checkpoint with its SHA-256; its last epoch then counts as finished."""
         contents = io.BytesIO()
-        torch.save(asdict(state), contents)
+        torch.save(vars(state), contents)
         with atomic_write(self.state) as path, path.open("wb") as file:
             file.write(contents.getbuffer())
             file.write(hashlib.sha256(contents.getbuffer()).digest())

@@ -96,17 +96,14 @@ class PatchBatch(NamedTuple):
 
 
 class StoredBatch(NamedTuple):
-    """What is stored of ``B`` samples, of which the first are negatives, and of these no scenes.
+    """What is stored of ``B`` samples, as `PatchBatch` and `DrawnBatch` name it.
 
     Attributes:
-        frames: ``(F, h, w, 3)`` uint8, of the first F samples.
-        translation: ``(F, 3)`` float32, where they show the object, meters.
+        frames: ``(F, h, w, 3)`` uint8.
+        translation: ``(F, 3)`` float32.
         windows: ``(B - C, S, S, 3)`` uint8, of the samples that are scenes, after the first C.
         coordinates: ``(B, S/2, S/2, 4)`` uint8.
         labels: ``(B, 13)`` float32, of the windows; of the first C, of images of the set.
-        index: ``(B,)``, indices of the samples in the set.
-        negatives: Number of samples that do not show the object.
-        seed: Of the random numbers of their augmentation.
     """
 
     frames: Tensor
@@ -458,7 +455,7 @@ def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
 
 def _joined(sets: Sequence[Arrays], name: str, device: torch.device) -> Tensor:
     """Return an array of all sets on a device, where one after the other is brought."""
-    parts = [torch.from_numpy(np.ascontiguousarray(each[name])).to(device) for each in sets]
+    parts = [torch.tensor(each[name], device=device) for each in sets]
     return torch.cat(parts) if parts else torch.zeros(0, device=device)
 
 

@@ -4,8 +4,7 @@ The paper (section 4.3) trains in three stages: everything for 500 epochs; then 
 150 epochs with the orientation branch frozen; then the orientation for 150 epochs with the
 translation branch frozen. It does not say whether the shared backbone is trained in the last two.
 Here it is frozen there, including its batch norm: training it would change the features that the
-frozen branch relies on. Each stage starts from the best weights so far, and the learned weight of a
-frozen branch's loss is frozen with it.
+frozen branch relies on. Each stage starts from the best weights so far.
 """
 
 from __future__ import annotations
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stage:
-    """A number of epochs during which some parts of the model are frozen.
+    """A number of epochs during which some `ffpose.config.NetworkConfig.parts` are frozen.
 
-    Those get no gradient and stay in evaluation mode; they are of the parts that the network's
-    configuration names (`ffpose.config.NetworkConfig.parts`).
+    Those get no gradient and stay in evaluation mode.
     """
 
     name: str
@@ -106,14 +104,11 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     names = [stage.name for stage in stages]
     if len(set(names)) < len(names):
         raise ValueError(f"stages: expected names that differ, got {', '.join(names)}")
-    for stage in stages:
-        for part in stage.freeze:
-            among = f"parts out of {', '.join(parts)}"
-            expect(part in parts, f"stage {stage.name!r}", among, part)
-        if set(stage.freeze) == set(parts):
-            raise ValueError(
-                f"stage {stage.name!r}: nothing is left to train, all parts are frozen"
-            )
+    for name, frozen in ((f"stage {stage.name!r}", stage.freeze) for stage in stages):
+        for part in frozen:
+            expect(part in parts, name, f"parts out of {', '.join(parts)}", part)
+        if set(frozen) == set(parts):
+            raise ValueError(f"{name}: nothing is left to train, all parts are frozen")
 
 
 FROZEN_WITH = {"translation_branch": ("s_t",), "orientation_branch": ("s_q", "orientation")}
