@@ -212,7 +212,7 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
     row |= train_epoch(run, epoch, reporter)
     rate = run.task.images / (time.perf_counter() - began)
-    spent = run.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
+    spent = run.task.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
     row |= validate(run)
     row |= {"samples": run.task.images, "cpu_seconds": float(spent), "images_per_second": rate}
     return row | {"seconds": time.perf_counter() - began}
@@ -258,11 +258,11 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         NonFiniteLossError: The loss is infinite or NaN; nothing was written.
     """
     seed = int(np.random.SeedSequence([run.config.seed, epoch.number]).generate_state(1)[0])
-    torch.manual_seed(seed + run.processes.rank)
+    torch.manual_seed(seed + run.task.processes.rank)
     enter_stage(run.model, run.task.loss, epoch.stage)
     if epoch.index == 0:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
-    objective = run.processes.parallel(Objective(run.task, run.model, run.device))
+    objective = run.task.processes.parallel(Objective(run.task, run.model, run.device))
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
     began, waits = time.perf_counter(), list[float]()
@@ -279,7 +279,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         count = len(batch.index)
         sums += values * count
         reporter.step(float(values[0]), rate, count)
-    means = (run.processes.total(sums) / run.task.images).tolist()
+    means = (run.task.processes.total(sums) / run.task.images).tolist()
     return {
         "learning_rate": rate,
         "train_loss": means[0],
@@ -307,7 +307,7 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
         terms = objective(batch)
     values = torch.stack(terms).detach().double().cpu()
     finite = bool(values.isfinite().all())
-    if run.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
+    if run.task.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
         became = f"the loss became {float(values[0])}" if not finite else "a loss is not finite"
         where = f"images: {run.task.names(batch)}" if not finite else "in another process"
         raise _diverged(run, f"{became} in epoch {epoch.number}; {where}")
@@ -343,9 +343,9 @@ def validate(run: Run) -> Row:
     Raises:
         NonFiniteLossError: A pose is not finite.
     """
-    run.processes.agree(run.average.model)
+    run.task.processes.agree(run.average.model)
     model = run.average.model.eval()
-    metric = PoseError(run.task.val_set.target, process_group=run.processes.patient)
+    metric = PoseError(run.task.val_set.target, process_group=run.task.processes.patient)
     for batch in run.task.validation():
         t_hat, q_hat = (part.cpu() for part in model(batch.image.to(run.device))[:2])
         if not bool(t_hat.isfinite().all() and q_hat.isfinite().all()):

@@ -216,10 +216,9 @@ def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[
 def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
 
-    The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
-    others call ``work``, a function of a module, and leave Ctrl-C to this one. They end where the
-    block raises, and where SIGTERM ends this process, which then exits with code 143. Under
-    ``torchrun``, whose processes are there already, none is started.
+    The environment says of each what ``torchrun`` would, whose own are there already, and torch's
+    threads are shared out. The others call ``work``, a function of a module, and leave Ctrl-C to
+    this one. They end where the block raises, and where SIGTERM ends this process, with code 143.
     """
     if count == 1 or launched() > 1:
         yield

@@ -50,7 +50,6 @@ class Run:
         average: Its moving average, which is validated and saved.
         optimizer: Over network and loss; made anew where a stage begins.
         task: Batches, loss and validation.
-        processes: This process's place among those that train together.
         device: Where the network computes.
         calibration: Images that calibrate a network with a second look.
         symmetry: The rotations that labels and errors are modulo.
@@ -64,7 +63,6 @@ class Run:
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
-    processes: Processes
     calibration: CalibrationSet | None
     symmetry: SymmetryGroup
     recipe: dict[str, Any]
@@ -80,12 +78,9 @@ def build_run(
 ) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
-    Args:
-        config: What the run is asked to do.
-        processes: This process's place among those that train together.
-        resumed: Header of the last weights of a run that is resumed. Neither the backbone's
-            pretrained weights nor the initial weights are read then: the checkpoint has all.
-        quiet: As of `open_training_data`.
+    ``resumed`` is the header of the last weights of a run that is resumed. Neither the backbone's
+    pretrained weights nor the initial weights are read then: the checkpoint has all. ``quiet`` is
+    as of `open_training_data`.
 
     Raises:
         FileNotFoundError: There are no such initial weights.
@@ -146,7 +141,6 @@ def build_run(
         optimizer,
         task,
         device,
-        processes,
         data.calibration,
         symmetry,
         recipe(config, init, symmetry),
