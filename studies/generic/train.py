@@ -40,7 +40,6 @@ from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import ObjectLossConfig, PatchAugmentation
 from ffpose.training.patches import PatchBatch, PatchBatches, Prepared
 from ffpose.training.run import build_optimizer
-from ffpose.training.schedule import learning_rate
 from studies.generic.heads import ManyBinsHead, ManyObjective
 from studies.generic.spacecraft import SEED, parts, subject
 
@@ -119,7 +118,7 @@ def train_generic(config: GenericConfig) -> None:
             for step, batch in enumerate(_read(order, config.workers // 2)):
                 position = epoch + (step + 0.5) / len(order)
                 for group in optimizer.param_groups:
-                    group["lr"] = learning_rate(OPTIMIZER, position, epochs)
+                    group["lr"] = OPTIMIZER.rate(position, epochs)
                 losses.append(_step(batch, batches, model, loss, optimizer))
                 average.update()
             seconds = time.monotonic() - began

@@ -16,12 +16,13 @@ from ffpose._internal.seeds import CHOICES
 from ffpose.demo import config as demo_config
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import FOLDERS
-from ffpose.demo.run import run
+from ffpose.demo.run import _resumable, run
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.imaging.patches import LABELS
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import build_network
 from ffpose.render.renderer import label
+from ffpose.training.checkpoint import RunFolder, TrainState
 from figures import blank_figures
 
 pytestmark = pytest.mark.slow
@@ -142,6 +143,25 @@ def test_one_process_trains_on_a_gpu(monkeypatch, device, processes):
     training = DemoConfig(train=True).training(Path("x"))
     assert training.processes == processes
     assert training.batch_size * processes == 32
+
+
+@pytest.mark.parametrize(
+    ("began", "now", "goes_on"), [("cpu", "cuda", "cpu"), ("cuda", "cpu", "auto")]
+)
+def test_a_training_goes_on_with_a_gpu_or_without_as_it_began(
+    monkeypatch, tmp_path, began, now, goes_on
+):
+    def training_on(device):
+        monkeypatch.setattr(demo_config, "find_device", lambda name: torch.device(device))
+        return DemoConfig(train=True).training(tmp_path)
+
+    first = training_on(began)
+    folder = RunFolder(first.out)
+    folder.begin(first)
+    folder.save_state(TrainState())
+    resumed = _resumable(training_on(now))
+    assert folder.open(resumed, resume=True).history == []
+    assert resumed.device == goes_on
 
 
 def test_the_views_rendered_are_those_that_the_settings_name(trained):

@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from base64 import b64encode
@@ -395,6 +396,11 @@ def test_from_a_mesh_to_a_pose(tmp_path, quick):
     assert [path.stat().st_mtime_ns for path in slow] == written
     with pytest.raises(ValueError, match=r"out: expected minutes 60.0 as the run in .* got 9"):
         learn(LearnConfig(mesh, out, 9, processes=1, test_images=6, card_images=0))
+    moved = Path(shutil.move(out, tmp_path / "moved"))
+    learn(replace(config, out=moved), said.append)
+    assert (moved / "second" / "results.csv").read_text() == before
+    command = read_metadata(moved / "best.safetensors").calibration["command"]
+    assert str(tmp_path) not in command
 
 
 LEARNER = """

@@ -74,7 +74,8 @@ def test_the_loss_moves_the_shared_weights_and_the_heads_of_the_spacecraft_shown
         model, arrays, empty, PatchAugmentation(), (0.25,) * 3, loss.cells, np.zeros((0, 3))
     )
     chosen = torch.nonzero(numbers != 1)[:6, 0]
-    batch = batches.augmented(batches.stored(chosen, torch.Generator().manual_seed(0)))
+    drawn = batches.drawn(chosen, torch.Generator().manual_seed(0))
+    batch = batches.augmented(batches.gathered(drawn))
     loss(model, batch).total.backward()
     shown = set(numbers[chosen[batch.present]].tolist())
     for weight in (model.orientation.weight, loss.weight):

@@ -9,9 +9,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.training import engine
 from ffpose.training.averaging import WARM_UP, AveragedModel
-from ffpose.training.checkpoint import TrainState
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
 from tiny_runs import train_config, write_set
@@ -176,7 +174,7 @@ def test_a_stage_begins_from_the_best_weights_and_keeps_the_share_of_the_initial
 ):
     run = build_run(config(root, tmp_path, begun_from, 0.25))
     best = {name: value + 1 for name, value in run.model.state_dict().items()}
-    engine._return_to_best(run, TrainState(best=best))
+    run.average.restart(best)
     average = run.average.state_dict()
     for name, value in run.model.state_dict().items():
         if value.is_floating_point():

@@ -80,6 +80,13 @@ def test_the_command_of_images_is_parsed_to_these_images(config):
     assert options.weights == Path("a.safetensors")
 
 
+def test_the_command_names_no_place_of_this_machine():
+    images = CalibrationImages(scene="/home/me/runs/craft/scene.json")
+    assert command_of("a.safetensors", images).split() == [
+        *("ffpose", "calibrate", "a.safetensors", "--data.scene", "scene.json"),
+    ]
+
+
 def test_the_set_is_the_first_that_the_weights_were_trained_on(trained, tmp_path):
     out = tmp_path / "calibrated.safetensors"
     views = trained.parents[1] / "views"

@@ -1,15 +1,20 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from ffpose.errors import DataError
-from ffpose.models import PRESETS
 from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
-from ffpose.training.config import CalibrationImages, ModelName
-from ffpose.training.options import dump_config, field_parser, flatten, load_config, to_config
+from ffpose.training.config import CalibrationImages
+from ffpose.training.options import (
+    dump_config,
+    field_parser,
+    flatten,
+    load_config,
+    read_words,
+    to_config,
+)
 
 
 def config(**fields):
@@ -44,10 +49,6 @@ def test_yaml_brings_back_what_was_written(tmp_path):
     assert load_config(path) == original
 
 
-def test_the_models_are_those_that_there_are():
-    assert get_args(ModelName) == tuple(PRESETS)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -65,6 +66,14 @@ def test_a_file_that_is_no_configuration_is_named(tmp_path, text):
     path.write_text(text)
     with pytest.raises(DataError, match=r"config\.yaml: not a training configuration"):
         load_config(path)
+
+
+def test_a_configuration_that_is_no_text_is_named(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_bytes(b"\xff\xd8\xff")
+    for read in (load_config, lambda path: read_words(["--config", str(path)])):
+        with pytest.raises(DataError, match=r"config\.yaml: expected text in UTF-8"):
+            read(path)
 
 
 def test_flat_names_reach_into_groups():

@@ -77,7 +77,7 @@ def test_held_out_images_validate_and_do_not_train(own):
     assert data.val_set.names == ["0.png", "3.png"]
     assert data.train_set.names == ["1.png", "2.png", "4.png", "5.png"]
     assert data.val_set.augmentation is None
-    np.testing.assert_array_equal(data.poses[:, 2], [6, 7, 9, 10])
+    np.testing.assert_array_equal(data.train_set.poses[:, 2], [6, 7, 9, 10])
 
 
 @pytest.mark.parametrize(("split", "z"), [("train", -5), ("val", 0)])

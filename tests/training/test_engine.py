@@ -222,6 +222,28 @@ def test_resume_takes_another_spelling_of_a_path(image_set, tmp_path, monkeypatc
         folder._check_config(replace(config, data=replace(data, scene="scene.json")))
 
 
+def test_resume_takes_files_that_were_moved_with_their_folder(image_set, tmp_path):
+    """As all that `ffpose learn` writes; one that is still where it was is another file."""
+    names = ("scene.json", "symmetry.json", "begin.safetensors")
+
+    def config_in(root):
+        root.mkdir()
+        scene, symmetry, init = (root / name for name in names)
+        for path in (scene, symmetry, init):
+            path.touch()
+        data = DataConfig("scenes", image_set, scene=str(scene))
+        return train_config(image_set, root / "run", data=data, symmetry=symmetry, init=init)
+
+    one, other = (config_in(tmp_path / name) for name in ("one", "other"))
+    RunFolder(one.out).begin(one)
+    with pytest.raises(ValueError, match=r"data\.scene: .*init: .*symmetry: expected"):
+        RunFolder(one.out)._check_config(other)
+    moved = shutil.move(tmp_path / "one", tmp_path / "moved") / "run"
+    RunFolder(moved)._check_config(config_in(tmp_path / "new"))
+    with pytest.raises(ValueError, match=r"init: expected .*, got None"):
+        RunFolder(moved)._check_config(replace(other, init=None))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -159,7 +159,7 @@ def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), symmetry=IDENTITY, 
 
 def all_of(views, seed=0):
     index, generator = torch.arange(len(views)), torch.Generator().manual_seed(seed)
-    return views.augmented(views.stored(index, generator))
+    return views.augmented(views.gathered(views.drawn(index, generator)))
 
 
 def centroids(images):
@@ -424,7 +424,8 @@ def test_batches_of_any_size_have_the_shares_that_are_asked_for(model, dotted, s
     """In the mean: of four samples a share of 0.12 is none when it is rounded to the nearest."""
     views = batches(model, [dotted], greens(dotted), empty=0.12, frames=0.6)
     generator, count = torch.Generator().manual_seed(0), 800 // size
-    made = [views.stored(torch.arange(size), generator) for _ in range(count)]
+    drawn = [views.drawn(torch.arange(size), generator) for _ in range(count)]
+    made = list(map(views.gathered, drawn))
     lacking = sum(each.negatives for each in made) / 800
     scenes = sum(len(each.windows) - size + each.negatives for each in made) / 800
     frames = sum(len(each.frames) for each in made) / 800
@@ -587,7 +588,10 @@ def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):
 
 def test_patches_that_a_device_holds_are_the_same_batches(model, dotted):
     """What is drawn is small, and the patches come from where they are held."""
-    views = batches(model, [dotted, dotted], greens(dotted), empty=0.25, jpeg=0.3)
+    mapped = {name: array.view() for name, array in dotted.items()}
+    for array in mapped.values():
+        array.flags.writeable = False  # as of files
+    views = batches(model, [mapped, mapped], greens(dotted), empty=0.25, jpeg=0.3)
     made = list(views.epoch(3, 16))
     views.hold()
     drawn = list(views.epoch(3, 16))
@@ -600,11 +604,10 @@ def test_patches_that_a_device_holds_are_the_same_batches(model, dotted):
 
 
 def test_a_share_of_the_windows_is_as_jpeg_has_it(model, dotted):
+    sets = [batches(model, [dotted], jpeg=share) for share in (0.0, 0.5)]
     plain, rough = (
-        batches(model, [dotted], jpeg=share).stored(
-            torch.arange(COUNT), torch.Generator().manual_seed(0)
-        )
-        for share in (0.0, 0.5)
+        views.gathered(views.drawn(torch.arange(COUNT), torch.Generator().manual_seed(0)))
+        for views in sets
     )
     changed = (plain.windows != rough.windows).flatten(1).any(1)
     assert 4 <= changed.sum() <= 20  # of 24

@@ -14,10 +14,11 @@ from safetensors.torch import load_file
 
 from ffpose import DataError
 from ffpose.training import DataConfig, OptimizerConfig, Stage
+from ffpose.training.checkpoint import RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.engine import train
 from ffpose.training.options import dump_config
-from ffpose.training.processes import Processes, joined, started
+from ffpose.training.processes import Processes, count_processes, joined, started
 from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -103,8 +104,23 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
 
 def test_processes_of_torchrun_start_no_others(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
-    with pytest.raises(ValueError, match=r"processes: expected 1 under torchrun, .* got 3"):
-        started(3, None).__enter__()
+    with started(2, None):
+        pass
+    assert [count_processes(asked) for asked in (1, 2)] == [2, 2]
+    with pytest.raises(ValueError, match=r"processes: expected 1 or 2 under torchrun, .* got 3"):
+        count_processes(3)
+
+
+def test_a_run_does_not_go_on_with_another_number_of_processes_of_torchrun(
+    image_set, tmp_path, monkeypatch
+):
+    config = config_of(image_set, tmp_path / "run")
+    folder = RunFolder(config.out)
+    folder.begin(replace(config, processes=2))
+    folder.save_state(TrainState())
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    with pytest.raises(ValueError, match="processes: expected 2, got 3"):
+        train(config, quiet=True, resume=True)
 
 
 TOGETHER = """

@@ -61,6 +61,13 @@ def test_a_camera_that_is_given_stays(image_set, tmp_path):
     assert run.model.config.camera == (30.0, 31.0, 32.0, 33.0)
 
 
+def test_a_scale_of_positions_that_is_given_stays(image_set, tmp_path):
+    fields = MODEL_FIELDS | {"translation_mean": [1.0, 2.0, 30.0]}
+    given = build_run(train_config(image_set, tmp_path / "run", model_fields=fields)).model.config
+    assert given.translation_mean == (1.0, 2.0, 30.0)
+    assert given.translation_std != (1.0, 1.0, 1.0)  # of the images
+
+
 def test_a_resumed_run_knows_its_backbone_and_needs_no_pretrained_weights(
     image_set, tmp_path, monkeypatch
 ):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import TrainResult, train
+from ffpose.training.options import load_config
 from ffpose.training.run import build_run
 
 
@@ -99,7 +100,7 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord) -> None:
 
 
 def _train(config: DemoConfig, out: Path, record: DemoRecord) -> TrainResult:
-    training = config.training(out)
+    training = _resumable(config.training(out))
     if record.views_seconds == 0:
         _say(f"views: rendering {config.rendered_views} training views")
         began = time.perf_counter()
@@ -110,6 +111,16 @@ def _train(config: DemoConfig, out: Path, record: DemoRecord) -> TrainResult:
     trained = train(training, resume=True)
     save_figure(training_curves(trained.history), trained.folder.curves)
     return trained
+
+
+def _resumable(training: TrainConfig) -> TrainConfig:
+    """Return a training as it began, by processes of a CPU where this machine has a GPU now."""
+    folder = RunFolder(training.out)
+    if not folder.state.exists():
+        return training
+    begun = load_config(folder.config)
+    device = "cpu" if begun.processes > 1 else training.device
+    return replace(training, processes=begun.processes, batch_size=begun.batch_size, device=device)
 
 
 def _epochs_to_do(training: TrainConfig) -> str:

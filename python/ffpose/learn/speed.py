@@ -96,7 +96,7 @@ def _rate(
     for step in range(-WARM_UP, STEPS):
         began = time.perf_counter()
         index = torch.randint(len(batches), (size,), generator=generator)
-        stored = batches.stored(index, generator)
+        stored = batches.gathered(batches.drawn(index, generator))
         prepared = time.perf_counter()
         batch = batches.augmented(stored)
         with torch.autocast(device.type, torch.bfloat16, enabled=config.autocast == "bfloat16"):

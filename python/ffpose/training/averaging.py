@@ -27,10 +27,7 @@ Model = TypeVar("Model", bound=nn.Module)
 class AveragedModel(Generic[Model]):
     """A copy of a network whose weights are the moving average of its; the decay 0 keeps none.
 
-    Args:
-        model: The network that is trained.
-        decay: Of the moving average, 0 for none.
-        init_share: Share of the present weights in the copy's from now on.
+    ``init_share`` of the present weights stays in the copy's from now on.
     """
 
     def __init__(self, model: Model, decay: float, init_share: float = 0.0) -> None:
@@ -39,10 +36,8 @@ class AveragedModel(Generic[Model]):
         self.steps = 0
         self.trained = model
         self.model = deepcopy(model).requires_grad_(False) if decay > 0 else model
-        self.initial = {}
-        if init_share > 0:
-            state = self.model.state_dict()
-            self.initial = {name: value.clone() for name, value in state.items()}
+        state = self.model.state_dict() if init_share > 0 else {}
+        self.initial = {name: value.clone() for name, value in state.items()}
 
     @torch.no_grad()
     def update(self) -> None:
@@ -71,14 +66,12 @@ class AveragedModel(Generic[Model]):
         """
         self.steps = 0
         self.model.load_state_dict(state)  # which may be on another device
-        state = self.model.state_dict()
-        share = self.init_share if self.initial else 0.0
         self.trained.load_state_dict(
             {
-                name: torch.lerp(self.initial[name], value, 1 / (1 - share))
-                if share > 0 and value.is_floating_point()
+                name: torch.lerp(self.initial[name], value, 1 / (1 - self.init_share))
+                if self.initial and value.is_floating_point()
                 else value
-                for name, value in state.items()
+                for name, value in self.model.state_dict().items()
             }
         )
 

@@ -76,6 +76,10 @@ DISPLACED = 1.5
 """Predicted standard deviations by which looks are pointed off to either side."""
 
 
+MODES = ("orientation", "alternative")
+"""Fields of a prediction that are attitudes."""
+
+
 class Calibration(NamedTuple):
     """Calibration parameters found on held-out images.
 
@@ -116,8 +120,8 @@ def calibrate(
 ) -> Calibration:
     """Find the distribution of a network's errors, and the threshold that flags images.
 
-    What an earlier calibration found does not count, so the same images always give the same
-    numbers. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`.
+    What an earlier calibration found does not count, so the same images give the same numbers. The
+    threshold is that of `ffpose.evaluation.calibration.choose_threshold`.
 
     Args:
         model: The network.
@@ -138,26 +142,26 @@ def calibrate(
     absent = [_see(model, images)["in_view"] for images in empty]
     if not seen:
         raise ValueError("labeled: expected images that show the object, got none")
+    slopes = seen.pop("slopes")
+    across, along = float(np.median(slopes[:, :2])), float(np.median(slopes[:, 2]))
     others = [_see_all(model, images, symmetry) for images in (cut, hard)]
     sets = [each for each in (seen, *others) if each]
+    every = {name: np.concatenate([each[name] for each in sets]) for name in seen}
     factor = distance_factor(seen["translation"], seen["true_translation"])
-    shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
-    truncation = np.concatenate(shares)
+    found = every["translation"] * factor
+    share = _array(truncation(torch.from_numpy(found), model.config))  # that is cut off
     # A few that the border hardly cuts tell nothing of those that it mostly cuts.
-    tells = (truncation >= MOSTLY_CUT).sum() >= LEAST_MOSTLY_CUT
-    nearer = truncation_distance(np.concatenate(too_far), truncation) if tells else 0.0
-    parts = [
-        _distances(each, factor * np.exp(-nearer * share**2))
-        for each, share in zip(sets, shares, strict=True)
-    ]
-    translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
+    mostly = share >= MOSTLY_CUT
+    nearer = 0.0
+    if mostly.sum() >= LEAST_MOSTLY_CUT:
+        distance, truth = (np.linalg.norm(t, axis=1) for t in (found, every["true_translation"]))
+        nearer = truncation_distance(np.log(distance / truth), share)
+    translation, rotation = _distances(every, factor * np.exp(-nearer * share**2))
     # in other images the object is whole, and only its sphere is cut
-    is_cut = np.concatenate([np.full(len(each["in_view"]), each is others[0]) for each in sets])
-    mostly = is_cut & (truncation >= MOSTLY_CUT)
-    tails = []
-    one_mode = np.ones((len(truncation), 1))
-    for distances, probabilities in ((translation[:, None], one_mode), (rotation, modes)):
-        errors = (distances, 1 - modes[:, 0], truncation, probabilities)
+    mostly &= np.concatenate([np.full(len(each["in_view"]), each is others[0]) for each in sets])
+    tails, modes = [], every["probabilities"]
+    for distances, probabilities in ((translation, np.ones_like(translation)), (rotation, modes)):
+        errors = (distances, 1 - modes[:, 0], share, probabilities)
         fitted = fit_tails(*errors)
         if mostly.sum() >= LEAST_MOSTLY_CUT:
             growth = covering_growth(fitted, *(each[mostly] for each in errors))
@@ -172,7 +176,7 @@ def calibrate(
         by_cut,
         degrees,
         choose_threshold(seen["in_view"], np.concatenate(absent)).threshold if absent else None,
-        _look_slope(seen["slopes"]),
+        (max(across, LEAST_SLOPE), max(along, LEAST_SLOPE)),
     )
 
 
@@ -193,9 +197,7 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
 def truncation_distance(too_far: ArrayLike, truncation: ArrayLike) -> float:
     """Return the number ``k`` with the least sum of ``|too_far - k truncation²|``; 0 without cuts.
 
-    Args:
-        too_far: Logarithms of predicted over true distances ``(N,)``.
-        truncation: Shares that are cut off ``(N,)``, 0 to 1.
+    They are logarithms of predicted over true distances ``(N,)``, and shares cut off, 0 to 1.
     """
     shares = np.asarray(truncation, np.float64) ** 2
     cut = shares > 0
@@ -215,18 +217,13 @@ def fit_tails(
 ) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
-    With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
-    times ``(1 + k p)² (1 + l s²)²``; where all are zero no growth is found. Degrees of freedom are
-    `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
-
-    Args:
-        squared_distance: ``eᵀ C⁻¹ e`` of the errors from each of the modes ``(N, K)``, about each
-            of which errors have the same distribution.
-        doubt: ``(N,)``.
-        truncation: ``(N,)``.
-        probabilities: Of the modes ``(N, K)``, the first above 0.
+    Of errors about modes of one distribution each, with ``probabilities (N, K)``, the first above
+    0, the squared distances are ``eᵀ C⁻¹ e (N, K)``. With a doubt ``p`` and a truncation ``s``
+    ``(N,)``, 0…1, the scale matrix is that without them times ``(1 + k p)² (1 + l s²)²``; where all
+    are zero no growth is found. Degrees of freedom are `LEAST_DEGREES_OF_FREEDOM` to
+    `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
     """
-    shares = np.stack([doubt, truncation**2])
+    d2, shares = map(torch.from_numpy, (squared_distance, np.stack([doubt, truncation**2])))
     log_p = torch.from_numpy(probabilities / probabilities.sum(axis=1, keepdims=True)).log()
     x = torch.zeros(4, dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
@@ -237,7 +234,7 @@ def fit_tails(
         line_search_fn="strong_wolfe",
     )
     begin = math.log(max(float(np.median(squared_distance.min(axis=1))), LEAST_DISTANCE))
-    grows = torch.from_numpy(shares.any(1).astype(np.float64))
+    grows = shares.any(1).double()
 
     def found() -> tuple[Tensor, Tensor, Tensor]:
         """Return log scale of the scale matrix, growths and degrees of freedom at ``x``."""
@@ -246,9 +243,7 @@ def fit_tails(
 
     def loss() -> Tensor:
         search.zero_grad()
-        value = negative_log_likelihood(
-            torch.from_numpy(squared_distance), log_p, torch.from_numpy(shares), *found()
-        )
+        value = negative_log_likelihood(d2, log_p, shares, *found())
         torch.autograd.backward(value)
         return value
 
@@ -268,8 +263,7 @@ def covering_growth(
 ) -> float:
     """Return the least growth with truncation at which regions of `LEVEL` contain that share.
 
-    It is at most `MOST_GROWTH`. Arguments are those of `fit_tails`, distances and probabilities
-    ``(N, K)``, truncations above 0.
+    It is at most `MOST_GROWTH`. Arguments are those of `fit_tails`, truncations above 0.
     """
     scale = tails.scale * (1 + tails.doubt_sigma * doubt) ** 2
 
@@ -290,19 +284,13 @@ def negative_log_likelihood(
 ) -> Tensor:
     """Return the mean of a mixture of multivariate t distributions', up to a constant.
 
-    ``d2`` are errors from each mode ``(N, K)``, ``log_p`` the modes' logarithmic probabilities;
-    ``growths (2,)`` belong to ``shares (2, N)``, doubt and squared truncation.
+    ``d2`` and ``log_p`` are of the modes ``(N, K)``; ``growths (2,)`` belong to ``shares (2, N)``,
+    doubt and squared truncation.
     """
     log_scales = log_scale + 2 * torch.log1p(growths[:, None] * shares).sum(0)
     normalization = torch.lgamma((nu + 3) / 2) - torch.lgamma(nu / 2) - 1.5 * nu.log()
     far = (nu + 3) / 2 * torch.log1p(d2 * torch.exp(-log_scales)[:, None] / nu)
     return (1.5 * log_scales - torch.logsumexp(log_p - far, dim=1)).mean() - normalization
-
-
-def _look_slope(measured: FloatArray) -> tuple[float, float]:
-    """Return the median slopes across and along the ray."""
-    across, along = np.median(measured[:, :2]), np.median(measured[:, 2])
-    return max(float(across), LEAST_SLOPE), max(float(along), LEAST_SLOPE)
 
 
 def _see_all(
@@ -316,54 +304,30 @@ def _see_all(
 
     With ``pointed_off`` the ``slopes`` of its looks too. Empty without images.
     """
-    seen = [
-        _see(model, batch.image, batch.translation if pointed_off else None)
-        | {
-            "true_translation": _array(batch.translation),
-            "true_orientation": _array(batch.orientation),
-        }
-        for batch in labeled
-    ]
-    if not seen:
-        return {}
-    found = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
-    truth = found["true_orientation"]
-    return found | {
-        "true_orientation": symmetry.nearest(found["orientation"], truth),
-        "true_alternative": symmetry.nearest(found["alternative"], truth),
-    }
+    seen = []
+    for batch in labeled:
+        found = _see(model, batch.image, batch.translation if pointed_off else None)
+        found["true_translation"], truth = _array(batch.translation), _array(batch.orientation)
+        for name in MODES:
+            found[f"true_{name}"] = symmetry.nearest(found[name], truth)
+        seen.append(found)
+    return {name: np.concatenate([each[name] for each in seen]) for name in seen[0]} if seen else {}
 
 
-def _too_far(
-    model: PolarPose, seen: Mapping[str, FloatArray], factor: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the shares that are cut off, and how much too far log distances are, ``(N,)`` each."""
-    found = seen["translation"] * factor
-    cut = _array(truncation(torch.from_numpy(found), model.config))
-    true_distance = np.linalg.norm(seen["true_translation"], axis=1)
-    return cut, np.log(np.linalg.norm(found, axis=1) / true_distance)
+def _distances(seen: Mapping[str, FloatArray], factor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the squared distances of translation ``(N, 1)`` and of rotation from each mode.
 
-
-def _distances(
-    seen: Mapping[str, FloatArray], factor: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return squared distances, and the probabilities of the modes ``(N, 2)``.
-
-    Those of the translation ``(N,)``, whose prediction is multiplied by ``factor (N,)``, and of the
-    rotation from either mode ``(N, 2)``.
+    Predicted translations are multiplied by ``factor (N,)``; the second are ``(N, 2)``.
     """
     moved = seen["true_translation"] - seen["translation"] * factor[:, None]
     turned = [
-        rotation_error_vector(seen[name], seen[f"true_{name}"])
-        for name in ("orientation", "alternative")
+        squared_mahalanobis(
+            rotation_error_vector(seen[name], seen[f"true_{name}"]), seen["rotation_covariance"]
+        )
+        for name in MODES
     ]
-    return (
-        squared_mahalanobis(moved, seen["translation_covariance"]),
-        np.stack(
-            [squared_mahalanobis(each, seen["rotation_covariance"]) for each in turned], axis=1
-        ),
-        seen["probabilities"],
-    )
+    translation = squared_mahalanobis(moved, seen["translation_covariance"])
+    return translation[:, None], np.stack(turned, axis=1)
 
 
 def _see(model: PolarPose, images: Tensor, about: Tensor | None = None) -> dict[str, FloatArray]:
@@ -384,9 +348,9 @@ def _see(model: PolarPose, images: Tensor, about: Tensor | None = None) -> dict[
 def slopes(model: PolarPose, images: Tensor, truth: Tensor, covariance: Tensor) -> Tensor:
     """Return how looks follow the true offset ``(B, 3)``: twice across the ray, then along it.
 
-    Looks are pointed off the truth ``(B, 3)``, meters, by `DISPLACED` standard deviations of the
-    covariance of what is found, m², to either side; where what they find moves by a share of that,
-    the slope is one less this share.
+    Looks are pointed off the truth ``(B, 3)``, meters, by `DISPLACED` standard deviations of what
+    is found to either side; where what they find moves by a share of that, the slope is one less
+    this share.
     """
     along = F.normalize(truth, dim=1)
     aside = torch.linalg.cross(along, torch.eye(3).to(along)[along.abs().argmin(1)])

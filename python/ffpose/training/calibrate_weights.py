@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+from PIL import Image
 from safetensors.torch import load
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
@@ -16,30 +20,24 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
+from ffpose.imaging.patches import Bytes
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.reprojection import agree, lens_of
-from ffpose.models import (
-    PolarPose,
-    WeightsMetadata,
-    load_network,
-    read_metadata,
-)
+from ffpose.models import PolarPose, WeightsMetadata, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.render import SCENES
 from ffpose.training.calibrate import Calibration, calibrate, with_calibration
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
-from ffpose.training.config import CalibrationImages
+from ffpose.training.config import VARIANTS, CalibrationImages
 from ffpose.training.provenance import scene_name
-from ffpose.training.tasks import VALIDATION_BATCH, standardized
+from ffpose.training.tasks import VALIDATION_BATCH
 
 LEAST_IMAGES = 10
 """Fewest labeled images; two variances and two tails are found of their errors."""
 
 
 def calibrate_weights(
-    weights: str | Path,
-    images: CalibrationImages,
-    *,
-    out: Path | None = None,
+    weights: str | Path, images: CalibrationImages, *, out: Path | None = None
 ) -> Calibration:
     """Calibrate a weights file on images that are opened, or rendered, as its network sees them.
 
@@ -63,9 +61,7 @@ def calibrate_weights(
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     expect_place(resolve(weights) if out is None else out)
     if images.kind == "scenes":
-        images = _as_trained(images, metadata)
-    if images.kind == "scenes":
-        opened = open_calibration(images, metadata.preprocessing)
+        opened = open_calibration(_as_trained(images, metadata), metadata.preprocessing)
     else:
         opened = _labeled(images, metadata)
     return write_calibrated(weights, opened, out=out)
@@ -80,10 +76,11 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
     opened.whole.expect_target(metadata.locates)
     camera, view = opened.whole.camera, metadata.config.view_camera
     assert view is not None  # a second look points a camera
-    seen = None
-    if camera is not None and lens_of(camera) is None:
-        seen = metadata.preprocessing.camera(camera)
-    if seen is None or not agree(seen, view):
+    if (
+        camera is None
+        or lens_of(camera) is not None
+        or not agree(metadata.preprocessing.camera(camera), view)
+    ):
         raise ValueError(
             f"data: expected images of the weights' camera, {metadata.camera}, without distortion,"
             f" got {'those of several' if camera is None else camera}"
@@ -120,14 +117,8 @@ def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> Calibra
         for name in ("distance", "attitude_range_deg")
         if name in seen and getattr(images, name) == getattr(plain, name)
     }
-    return replace(
-        images,
-        scene=scene,
-        cut=images.cut or seen.get("cut", 0) > 0,
-        randomized=images.randomized or seen.get("randomized", 0) > 0,
-        dusk=images.dusk or seen.get("dusk", 0) > 0,
-        **ranges,
-    )
+    kinds = {kind: getattr(images, kind) or seen.get(kind, 0) > 0 for kind in VARIANTS}
+    return replace(images, scene=scene, **kinds, **ranges)
 
 
 def write_calibrated(
@@ -138,20 +129,17 @@ def write_calibrated(
     model = load_network(path)
     assert isinstance(model, PolarPose)
     preprocessing = images.whole.preprocessing
-    others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
+    others = [] if images.strangers is None else _standardized(images.strangers, preprocessing)
     cut = () if images.cut is None else _batches(images.cut)
     hard = chain.from_iterable(map(_batches, images.hard))
     found = calibrate(model, _batches(images.whole), others, cut, hard, metadata.symmetry)
-    about: dict[str, Any] = {
-        "command": command_of(Path(weights).name, images.config),
-        "images": images.about,
-    }
     threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
+    command = command_of(Path(weights).name, images.config)
     header = replace(
         metadata,
         config=with_calibration(model.config, found),
         in_view_threshold=threshold,
-        calibration=about,
+        calibration={"command": command, "images": images.about},
         version=__version__,
     )
     # Not mapped, as by `load_file`: `out` may be this file, and Windows replaces no mapped one.
@@ -162,3 +150,9 @@ def write_calibrated(
 
 def _batches(images: PoseDataset) -> Iterable[Sample]:
     return DataLoader(images, VALIDATION_BATCH)
+
+
+def _standardized(images: Bytes, preprocessing: Preprocessing) -> Iterator[Tensor]:
+    """Yield images ``(N, H, W, 3)`` as standardized batches of the network's input size."""
+    for part in np.split(images, range(VALIDATION_BATCH, len(images), VALIDATION_BATCH)):
+        yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ffpose._internal.seeds import CALIBRATION, matching
@@ -25,6 +26,15 @@ CALIBRATED_SHARE = (0.3, 0.6)
 
 RANDOMIZATION = 0.7
 """Strength of the randomized images, as `ffpose render --randomize` has it."""
+
+
+SHOWN = {
+    "whole": "object",
+    "cut": "object that the border cuts",
+    "randomized": "object in randomized scenes",
+    "dusk": "object under a low sun",
+}
+"""What images of each kind show, in the header of weights."""
 
 
 def varied(
@@ -92,30 +102,18 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
 def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
     if config.scene is None:
         raise ValueError("data.scene: expected the name of a rendered set, got none")
-    scene, count = find_scene(config.scene, config.attitude_range_deg), config.count
-    scene = scene.scaled(*config.distance)
-    kinds = {
-        "object": "whole",
-        **({"object that the border cuts": "cut"} if config.cut else {}),
-        **({"object in randomized scenes": "randomized"} if config.randomized else {}),
-        **({"object under a low sun": "dusk"} if config.dusk else {}),
-    }
-    variants = varied(scene, CALIBRATED_SHARE)
-    parts = {what: variants[kind] for what, kind in kinds.items()}
-    seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}
-    images = {
-        kinds[what]: open_frames(
-            config.root, part, seeds[what], count, preprocessing, workers=config.workers
-        )
-        for what, (part, _) in parts.items()
-    }
+    scene = find_scene(config.scene, config.attitude_range_deg).scaled(*config.distance)
+    asked = (config.count, preprocessing)
+    images, seeds = dict[str, PoseDataset](), dict[str, int]()
+    for kind, (part, more) in varied(scene, CALIBRATED_SHARE).items():
+        if kind == "whole" or getattr(config, kind):
+            seeds[SHOWN[kind]] = seed = matching(CALIBRATION, config.seed + more)
+            images[kind] = open_frames(config.root, part, seed, *asked, workers=config.workers)
     whole, cut = images.pop("whole"), images.pop("cut", None)
     seeds["another spacecraft"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
-    strangers = open_strangers(
-        config.root, scene, seed, count, preprocessing, workers=config.workers
-    )
+    strangers = open_strangers(config.root, scene, seed, *asked, workers=config.workers)
     about = [
-        {"shows": what, "scene": scene.name, "seed": seed, "count": count}
+        {"shows": what, "scene": scene.name, "seed": seed, "count": config.count}
         for what, seed in seeds.items()
     ]
     return CalibrationSet(config, about, whole, cut, tuple(images.values()), strangers)
@@ -124,7 +122,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
 def command_of(weights: str, config: CalibrationImages) -> str:
     """Return the command that calibrates weights with these images.
 
-    Of a set on disk the folder's name stands for its path, which is this machine's.
+    The name of a set's folder or file stands for its path, which is this machine's.
     """
     words = ["ffpose calibrate", weights]
     for field in fields(config):
@@ -134,6 +132,8 @@ def command_of(weights: str, config: CalibrationImages) -> str:
                 words.append(f"--data.root {config.root.resolve().name}")
         elif field.name != "workers" and value != field.default:
             shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
+            if field.name == "scene":
+                shown = Path(value).name
             option = f"--data.{field.name.replace('_', '-')}"
             words.append(option if value is True else f"{option} {shown}")
     return " ".join(words)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,8 @@ FREE_FIELDS = {
 }
 """Fields that may change when a run is resumed: where it runs, and for how long."""
 
-PATHS = {"data.scene", "symmetry", "init"}
-"""Fields that may be paths, of which another spelling is the same."""
+PATHS = {"data.scene", "data.keypoints", "symmetry", "init", "backbone_weights"}
+"""Fields that may be paths, of which another spelling is the same, or that of a moved file."""
 
 DIGEST_SIZE = hashlib.sha256().digest_size
 """Number of bytes of the SHA-256 at the end of a checkpoint."""
@@ -113,7 +113,7 @@ class RunFolder:
     def save_state(self, state: TrainState) -> None:
         """Write the checkpoint with its SHA-256; its last epoch then counts as finished."""
         contents = io.BytesIO()
-        torch.save(asdict(state), contents)
+        torch.save(vars(state), contents)
         with atomic_write(self.state) as path, path.open("wb") as file:
             file.write(contents.getbuffer())
             file.write(hashlib.sha256(contents.getbuffer()).digest())
@@ -143,9 +143,20 @@ class RunFolder:
             for name in saved
             if name not in FREE_FIELDS
             and saved[name] != given[name]
-            and not (name in PATHS and same_place(saved[name], given[name]))
+            and not (name in PATHS and _same_file(saved[name], given[name]))
         ]
         if changed:
             raise ValueError(
                 f"resume: not the configuration of {self.config}: {'; '.join(changed)}"
             )
+
+
+def _same_file(saved: object, given: object) -> bool:
+    """Return whether paths are of one file, or of one that is gone from where it was.
+
+    Labels and symmetry are compared by what they hold as a run goes on, which reads no initial
+    weights.
+    """
+    before, now = Path(str(saved)), Path(str(given))
+    moved = before.is_absolute() and not before.exists() and now.is_file()
+    return same_place(saved, given) or (moved and before.name == now.name)

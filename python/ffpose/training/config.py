@@ -6,17 +6,19 @@ the paper (section 4.3) where it states a value.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from ffpose._internal.seeds import CALIBRATION, TRAINING, matching
+from ffpose.config import PRESETS
 from ffpose.errors import check_choices, expect, expect_least
 from ffpose.imaging.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
-ModelName = Literal["base", "small", "tiny", "transformerpose", "polar", "ursonet", "posenet"]
-"""Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
+VARIANTS = ("cut", "randomized", "dusk")
+"""Kinds of rendered images that training and calibration may show besides whole objects."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,6 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         check_choices(self, "data.")
-        expect_least(self, "data.", workers=0)
         expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
         if self.white is not None:
             check_white("data.white", self.white)
@@ -154,8 +155,8 @@ class DataConfig:
         if self.kind == "scenes":
             sets = len(self.scenes)
             expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
-        expect_least(self, "data.", validation=1, calibration=2, empty=0, decoys=0)
-        expect_least(self, "data.", cut=0, randomized=0, dusk=0)
+        least = {"workers": 0, "validation": 1, "calibration": 2, "empty": 0, "decoys": 0}
+        expect_least(self, "data.", **least, **dict.fromkeys(VARIANTS, 0))
         near, far = self.distance
         expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
         expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"
@@ -163,7 +164,7 @@ class DataConfig:
 
     @property
     def scenes(self) -> list[str]:
-        """Names of the rendered sets, in order; or the one file of a set."""
+        """Names of the rendered sets; or the one file of a set."""
         return [self.scene] if self.scene.endswith(".json") else self.scene.split("+")
 
     @property
@@ -179,25 +180,16 @@ class DataConfig:
     @property
     def calibration_images(self) -> CalibrationImages:
         """The images that calibrate a network with a second look; no others train or validate."""
-        images = CalibrationImages(
-            self.kind,
-            self.root,
-            attitude_range_deg=self.attitude_range_deg,
-            undistort=self.undistort,
-            white=self.white,
-            workers=self.workers,
-        )
+        same = ("kind", "root", "attitude_range_deg", "undistort", "white", "workers")
+        images = CalibrationImages(**{name: getattr(self, name) for name in same})
         if self.kind == "scenes":
-            seed = matching(CALIBRATION, self.seed)
             return replace(
                 images,
                 scene=self.scenes[0],
-                seed=seed,
+                seed=matching(CALIBRATION, self.seed),
                 count=self.calibration,
-                cut=self.cut > 0,
-                randomized=self.randomized > 0,
-                dusk=self.dusk > 0,
                 distance=self.distance,
+                **{kind: getattr(self, kind) > 0 for kind in VARIANTS},
             )
         if self.holdout:
             step = 2 * self.holdout
@@ -238,9 +230,27 @@ class OptimizerConfig:
         for name in ("learning_rate", "eps", "step_factor"):
             value = getattr(self, name)
             expect(value > 0, f"optimizer.{name}", "more than 0", value)
-        expect_least(self, "optimizer.", weight_decay=0, clip_norm=0, step_epochs=1)
-        expect_least(self, "optimizer.", warmup_epochs=0)
+        least = {"weight_decay": 0, "clip_norm": 0, "step_epochs": 1, "warmup_epochs": 0}
+        expect_least(self, "optimizer.", **least)
         check_choices(self, "optimizer.")
+
+    def rate(self, position: float, epochs: int) -> float:
+        """Return the learning rate at a position in a stage of so many epochs, 0 to ``epochs``.
+
+        The warm-up factor rises linearly and multiplies the schedule's rate. It is a function of
+        the position alone, so checkpoints need no scheduler.
+
+        Examples:
+            >>> paper = OptimizerConfig()
+            >>> [f"{paper.rate(epoch, 500):.0e}" for epoch in (0.1, 199.9, 200, 400.5)]
+            ['1e-04', '1e-04', '1e-05', '1e-06']
+        """
+        rise = min(1.0, position / self.warmup_epochs) if self.warmup_epochs > 0 else 1.0
+        if self.schedule == "cosine":
+            fall = 0.5 * (1 + math.cos(math.pi * position / epochs))
+        else:
+            fall = self.step_factor ** (position // self.step_epochs)
+        return self.learning_rate * rise * fall
 
 
 MUON = OptimizerConfig("muon", 4e-3, eps=1e-8, clip_norm=1.0, schedule="cosine")
@@ -365,8 +375,8 @@ class TrainConfig:
             0 for never.
         batch_size: Number of images per batch.
         accumulate: Number of batches whose gradients are accumulated for one step.
-        processes: Number of training processes on this machine, each with batches of its own; 1
-            under ``torchrun``, which starts the processes itself.
+        processes: Number of training processes on this machine, each with batches of its own; that
+            of ``torchrun`` where it starts them itself.
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"
@@ -391,7 +401,7 @@ class TrainConfig:
 
     data: DataConfig
     out: Path
-    model: ModelName = "base"
+    model: str = "base"
     model_fields: dict[str, Any] = field(default_factory=dict)
     backbone_weights: str = "auto"
     normalize_translation: bool = True
@@ -417,16 +427,15 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
+        expect(self.model in PRESETS, "model", f"one of {', '.join(PRESETS)}", self.model)
         check_choices(self)
         expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         expect_least(self, patience=0, batch_size=1, accumulate=1, processes=1, seed=0)
         expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
         expect(0 <= self.init_share < 1, "init_share", "0 <= init_share < 1", self.init_share)
         if self.init_share > 0 and (self.init is None or self.ema == 0):
-            raise ValueError(
-                "init_share: expected with init and with ema above 0, got init "
-                f"{self.init} and ema {self.ema:g}"
-            )
+            got = f"init {self.init} and ema {self.ema:g}"
+            raise ValueError(f"init_share: expected with init and with ema above 0, got {got}")
         self._check_keypoints()
         fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
         object.__setattr__(self, "model_fields", fields)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffpose._internal.seeds import TRAINING, VALIDATION, matching
 from ffpose.config import NetworkConfig, PolarPoseConfig, looks_twice
-from ffpose.datasets import (
-    Decoding,
-    PoseDataset,
-    list_splits,
-    read_records,
-)
+from ffpose.datasets import Decoding, PoseDataset, list_splits, read_records
 from ffpose.datasets.csv_set import read_keypoints
 from ffpose.datasets.patches import dataset_patches
 from ffpose.datasets.records import expect_in_front
@@ -26,7 +22,7 @@ from ffpose.imaging.patches import Arrays, Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.reprojection import agree
 from ffpose.imaging.transforms import Augmentation
-from ffpose.render import find_scene
+from ffpose.render import Scene, find_scene
 from ffpose.training.calibration_images import (
     EMPTY_SEEDS,
     CalibrationSet,
@@ -42,13 +38,12 @@ NO_KEYPOINTS = np.zeros((0, 3))
 class TrainingData:
     """Training and validation data of a run.
 
-    ``poses`` are the labels of the training split ``(N, 7)``; ``val_set`` whole validation images;
-    ``camera`` that of the network's input, None where the images have several. A network that looks
-    at the frame has ``train_set``, one with a second look stored patches, those ``empty`` of an
-    object, images for calibration and the object's keypoints ``(K, 3)``, meters, where known.
+    ``val_set`` are whole validation images; ``camera`` is that of the network's input, None where
+    the images have several; ``train_set`` are whole training images, None where patches alone are
+    rendered. A network with a second look has stored patches, those ``empty`` of an object, images
+    for calibration and the object's keypoints ``(K, 3)``, meters, where known.
     """
 
-    poses: NDArray[np.float64]
     val_set: PoseDataset
     camera: Camera | None
     train_set: PoseDataset | None = None
@@ -82,7 +77,7 @@ def open_training_data(
     train_set, val_set = _open_splits(config, preprocessing, calibrated=looks_twice(model))
     camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
     if not looks_twice(model):
-        return TrainingData(train_set.poses, val_set, camera, train_set)
+        return TrainingData(val_set, camera, train_set)
     if camera is None or isinstance(camera, DistortedCamera) or train_set.target != "object":
         raise ValueError(
             "model: a second look expects images of one camera without distortion "
@@ -92,15 +87,8 @@ def open_training_data(
     spec = patch_spec(model, camera)
     patches = dataset_patches(train_set, spec, coordinates=coordinates, cache=config.cache)
     keypoints = NO_KEYPOINTS if config.keypoints is None else read_keypoints(Path(config.keypoints))
-    return TrainingData(
-        train_set.poses,
-        val_set,
-        camera,
-        train_set,
-        [patches],
-        calibration=open_calibration(config.calibration_images, preprocessing),
-        keypoints=keypoints,
-    )
+    calibration = open_calibration(config.calibration_images, preprocessing)
+    return TrainingData(val_set, camera, train_set, [patches], [], calibration, keypoints)
 
 
 def _open_splits(
@@ -157,47 +145,32 @@ def _scenes(
     val_set = open_frames(
         config.root, shown[0], val_seed, config.validation, preprocessing, workers=workers
     )
-    counts = {
-        "whole": config.counts,
-        **{kind: [getattr(config, kind)] * len(scenes) for kind in ("cut", "randomized", "dusk")},
-    }
     kinds = [varied(scene) for scene in scenes]
     parts = [
-        (each[kind][0], matching(TRAINING, seed + each[kind][1]), count)
-        for kind, numbers in counts.items()
-        for each, seed, count in zip(kinds, config.seeds, numbers, strict=True)
-        if count > 0
+        (part, matching(TRAINING, seed + more), count)
+        for kind in kinds[0]
+        for each, seed, whole in zip(kinds, config.seeds, config.counts, strict=True)
+        for part, more in [each[kind]]
+        if (count := whole if kind == "whole" else getattr(config, kind)) > 0
     ]
     if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         records = [record for each in frames for record in each.records]
-        augmentation = _augmentation(config)
-        train_set = PoseDataset(records, preprocessing, augmentation, config.cache)
-        return TrainingData(train_set.poses, val_set, camera, train_set)
+        train_set = PoseDataset(records, preprocessing, _augmentation(config), config.cache)
+        return TrainingData(val_set, camera, train_set)
     spec = patch_spec(model, camera)
-    patches: list[Arrays] = [
-        rendered_patches(config.root, *part, spec, workers=workers, quiet=quiet) for part in parts
-    ]
+
+    def views(scene: Scene, seed: int, count: int, content: Content = "object") -> Arrays:
+        options: dict[str, Any] = {"content": content, "workers": workers, "quiet": quiet}
+        return rendered_patches(config.root, scene, seed, count, spec, **options)
+
+    patches = [views(*part) for part in parts]
     seed = matching(TRAINING, config.seed + EMPTY_SEEDS)
-    others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
-    empty: list[Arrays] = [
-        rendered_patches(
-            config.root,
-            scenes[0],
-            seed,
-            count,
-            spec,
-            content=content,
-            workers=workers,
-            quiet=quiet,
-        )
-        for content, count in others
-        if count > 0
-    ]
-    poses = np.concatenate([arrays["labels"][:, :7] for arrays in patches])
+    others: dict[Content, int] = {"empty": config.empty, "decoy": config.decoys}
+    empty = [views(scenes[0], seed, count, what) for what, count in others.items() if count > 0]
     keypoints = np.array(list(scenes[0].build().keypoints.values())).reshape(-1, 3)
     calibration = open_calibration(config.calibration_images, preprocessing)
-    return TrainingData(poses, val_set, camera, None, patches, empty, calibration, keypoints)
+    return TrainingData(val_set, camera, None, patches, empty, calibration, keypoints)
 
 
 def patch_spec(model: PolarPoseConfig, camera: Camera) -> PatchSpec:

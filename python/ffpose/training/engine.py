@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,19 +31,16 @@ from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
-from ffpose.training.processes import accumulating, joined, started
+from ffpose.training.processes import accumulating, count_processes, joined, started
 from ffpose.training.progress import Reporter, events
-from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
-from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, next_epoch
 from ffpose.training.tasks import Objective
 
 SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
 """Column whose lowest value selects the best epoch; it combines both errors without units.
 
-The ESA score divides by the distance to the object. Where the camera is located in a world, the
-distance to its origin means nothing; the scene score divides by the spread of the positions.
+Of an object it divides by the distance; of a camera, by the spread of the positions.
 """
 
 
@@ -60,15 +57,18 @@ class TrainResult:
         history: The table of results, one row per epoch; ``samples`` and ``cpu_seconds`` count its
             training without the validation.
         best_epoch: Number of the epoch with the best weights.
-        seconds: Time spent in epochs, including those before an interruption.
         leads: Whether this is the process, of several, that wrote the files.
     """
 
     folder: RunFolder
     history: list[Row]
     best_epoch: int
-    seconds: float
-    leads: bool = True
+    leads: bool
+
+    @property
+    def seconds(self) -> float:
+        """Time spent in epochs, including those before an interruption."""
+        return sum(float(row["seconds"]) for row in self.history)
 
 
 def train(
@@ -101,8 +101,8 @@ def train(
     """
     if config.tensorboard:
         require("tensorboard", "tb")
-    folder = RunFolder(config.out)
-    folder.open(config, resume=resume)  # what is refused is refused before others are started
+    config = replace(config, processes=count_processes(config.processes))
+    RunFolder(config.out).open(config, resume=resume)  # refuses before others are started
     with started(config.processes, _train, config, resume, True, cpu_minutes):
         return _train(config, resume, quiet, cpu_minutes)
 
@@ -139,7 +139,7 @@ def _train(
                 if cpu_minutes is not None and spent >= 60 * cpu_minutes:
                     break
                 if epoch.index == 0 and state.history:
-                    _return_to_best(run, state)
+                    run.average.restart(state.best)
                 row = _train_and_validate(run, epoch, reporter)
                 state.history.append(row)
                 _keep_best(run, state)
@@ -154,18 +154,7 @@ def _train(
                 if done_before.get("images") != run.calibration.about:
                     write_calibrated(weights, run.calibration)
         processes.wait()
-        seconds = sum(float(row["seconds"]) for row in state.history)
-        return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
-
-
-def _header(run: Run) -> dict[str, Any]:
-    return {
-        "preprocessing": run.task.val_set.preprocessing,
-        "backbone_source": run.average.model.backbone.source,
-        "recipe": recipe(run.config, run.init, run.symmetry),
-        "data": run.task.describe(run.config.data),
-        "dtype": getattr(torch, run.config.weights_dtype),
-    }
+        return TrainResult(folder, state.history, state.best_epoch, processes.leads)
 
 
 def _scores(run: Run, state: TrainState) -> list[float]:
@@ -175,7 +164,7 @@ def _scores(run: Run, state: TrainState) -> list[float]:
 
 
 def _next_epoch(run: Run, state: TrainState) -> Epoch | None:
-    stages = [str(row["stage"]) for row in state.history]
+    stages = (str(row["stage"]) for row in state.history)
     finished = list(zip(stages, _scores(run, state), strict=True))
     return next_epoch(run.config.resolved_stages, finished, run.config.patience)
 
@@ -189,18 +178,15 @@ def _keep_best(run: Run, state: TrainState) -> None:
         state.best = {name: value.detach().clone() for name, value in weights.items()}
 
 
-def _return_to_best(run: Run, state: TrainState) -> None:
-    """Continue from the best weights so far, as a stage does after another."""
-    run.average.restart(state.best)
-
-
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
     """Restore ``run`` from ``state``, and check that stages and data agree with its history."""
     _next_epoch(run, state)
-    now = run.task.describe(run.config.data), run.model.config.camera
     expected, got = (
         f"{data.get('count')} images of digest {str(data.get('digest'))[:12]} and camera {camera}"
-        for data, camera in ((resumed.data or {}, resumed.config.camera), now)
+        for data, camera in (
+            (resumed.data or {}, resumed.config.camera),
+            (run.data, run.model.config.camera),
+        )
     )
     if expected != got:
         raise ValueError(
@@ -226,11 +212,10 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
     row |= train_epoch(run, epoch, reporter)
     rate = run.task.images / (time.perf_counter() - began)
-    spent = run.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
-    cost: Row = {"samples": run.task.images, "cpu_seconds": float(spent)}
+    spent = run.task.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
     row |= validate(run)
-    seconds = time.perf_counter() - began
-    return row | cost | {"images_per_second": rate, "seconds": seconds}
+    row |= {"samples": run.task.images, "cpu_seconds": float(spent), "images_per_second": rate}
+    return row | {"seconds": time.perf_counter() - began}
 
 
 def cpu_seconds() -> float:
@@ -241,12 +226,18 @@ def cpu_seconds() -> float:
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
-    header = _header(run)
     if len(state.history) == 1:
         folder.save_state(TrainState())
-    if state.best_epoch == len(state.history):
-        run.average.model.save_pretrained(folder.best, **header)
-    run.average.model.save_pretrained(folder.last, **header)
+    is_best = state.best_epoch == len(state.history)
+    for weights in (folder.best, folder.last) if is_best else (folder.last,):
+        run.average.model.save_pretrained(
+            weights,
+            preprocessing=run.task.val_set.preprocessing,
+            backbone_source=run.average.model.backbone.source,
+            recipe=run.recipe,
+            data=run.data,
+            dtype=getattr(torch, run.config.weights_dtype),
+        )
     folder.save_results(state.history)
     state.model = run.model.state_dict()
     state.average = run.average.state_dict()
@@ -267,17 +258,17 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         NonFiniteLossError: The loss is infinite or NaN; nothing was written.
     """
     seed = int(np.random.SeedSequence([run.config.seed, epoch.number]).generate_state(1)[0])
-    torch.manual_seed(seed + run.processes.rank)
+    torch.manual_seed(seed + run.task.processes.rank)
     enter_stage(run.model, run.task.loss, epoch.stage)
     if epoch.index == 0:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
-    objective = run.processes.parallel(Objective(run.task, run.model, run.device))
+    objective = run.task.processes.parallel(Objective(run.task, run.model, run.device))
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
     began, waits = time.perf_counter(), list[float]()
     for step, batch in enumerate(awaited(run.task.batches(seed), waits), start=1):
-        position = epoch.index + (step - 0.5) / steps  # the step's middle
-        rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
+        position = epoch.index + (step - 0.5) / steps  # the middle, where no schedule is at zero
+        rate = run.config.optimizer.rate(position, epoch.stage.epochs)
         # Number of batches whose gradients make one step; the last step may have fewer.
         share = min(every, steps - (step - 1) // every * every)
         last = step % every == 0 or step == steps
@@ -288,7 +279,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         count = len(batch.index)
         sums += values * count
         reporter.step(float(values[0]), rate, count)
-    means = (run.processes.total(sums) / run.task.images).tolist()
+    means = (run.task.processes.total(sums) / run.task.images).tolist()
     return {
         "learning_rate": rate,
         "train_loss": means[0],
@@ -316,15 +307,17 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
         terms = objective(batch)
     values = torch.stack(terms).detach().double().cpu()
     finite = bool(values.isfinite().all())
-    if run.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
+    if run.task.processes.total(torch.tensor(float(not finite))) > 0:  # so that all end alike
         became = f"the loss became {float(values[0])}" if not finite else "a loss is not finite"
         where = f"images: {run.task.names(batch)}" if not finite else "in another process"
-        raise NonFiniteLossError(
-            f"{became} in epoch {epoch.number}; {where}. Another seed, a clip_norm, or a lower"
-            f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g} may help"
-        )
+        raise _diverged(run, f"{became} in epoch {epoch.number}; {where}")
     torch.autograd.backward(terms.total / share)
     return values
+
+
+def _diverged(run: Run, found: str) -> NonFiniteLossError:
+    rate = f"a lower optimizer.learning_rate than {run.config.optimizer.learning_rate:g}"
+    return NonFiniteLossError(f"{found}. Another seed, a clip_norm, or {rate} may help")
 
 
 def _step(run: Run, rate: float) -> None:
@@ -342,33 +335,26 @@ def _step(run: Run, rate: float) -> None:
 def validate(run: Run) -> Row:
     """Return the errors on the validation split, named as in `PoseError` with prefix ``val_``.
 
-    Rotation errors are modulo the run's symmetry.
-
-    Where labels locate the camera, ``val_scene_score`` besides: the median position error, relative
-    to the spread of the split's positions, plus the median rotation error in radians. Each process
-    computes its share; the metric brings them together.
+    Rotation errors are modulo the run's symmetry. Where labels locate the camera,
+    ``val_scene_score`` besides: the median position error, relative to the spread of the split's
+    positions, plus the median rotation error in radians. Each process computes its share; the
+    metric brings them together.
 
     Raises:
         NonFiniteLossError: A pose is not finite.
     """
-    run.processes.agree(run.average.model)
+    run.task.processes.agree(run.average.model)
     model = run.average.model.eval()
-    metric = PoseError(run.task.val_set.target, process_group=run.processes.patient)
+    metric = PoseError(run.task.val_set.target, process_group=run.task.processes.patient)
     for batch in run.task.validation():
-        pose = model(batch.image.to(run.device))
-        t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()
+        t_hat, q_hat = (part.cpu() for part in model(batch.image.to(run.device))[:2])
         if not bool(t_hat.isfinite().all() and q_hat.isfinite().all()):
-            raise NonFiniteLossError(
-                "training diverged: the poses of validation images are not finite; a lower"
-                f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g}, or a"
-                " clip_norm, may help"
-            )
+            raise _diverged(run, "training diverged: poses of validation images are not finite")
         truth = run.symmetry.nearest(*(q.double().numpy() for q in (q_hat, batch.orientation)))
         metric.update(t_hat, q_hat, batch.translation, torch.from_numpy(truth))
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
-    val_set = run.task.val_set
-    if val_set.target == "camera":
-        position = float(row["val_median_translation_error_m"]) / val_set.spread
+    if run.task.val_set.target == "camera":
+        position = float(row["val_median_translation_error_m"]) / run.task.val_set.spread
         rotation = math.radians(float(row["val_median_rotation_error_deg"]))
         row["val_scene_score"] = position + rotation
     return row

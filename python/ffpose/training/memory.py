@@ -23,9 +23,5 @@ def keep_freed_memory() -> bool:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError):  # another C library
         return False
-    options = (
-        (M_MMAP_THRESHOLD, KEPT_BYTES),
-        (M_TRIM_THRESHOLD, KEPT_BYTES),
-        (M_TOP_PAD, PAD_BYTES),
-    )
-    return all(mallopt(name, value) == 1 for name, value in options)
+    options = {M_MMAP_THRESHOLD: KEPT_BYTES, M_TRIM_THRESHOLD: KEPT_BYTES, M_TOP_PAD: PAD_BYTES}
+    return all(mallopt(name, value) == 1 for name, value in options.items())

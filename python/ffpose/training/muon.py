@@ -35,11 +35,7 @@ COLORS = 3
 class Muon(torch.optim.Optimizer):
     """Muon for parameters in groups whose ``matrix`` is true, AdamW for those of the others.
 
-    Args:
-        groups: Groups of parameters, with ``matrix`` (a bool) and ``weight_decay``, which is
-            decoupled. Of more than two dimensions, those after the first are the columns.
-        lr: Learning rate.
-        eps: Adam's epsilon.
+    Weight decay is decoupled. Of more than two dimensions, those after the first are the columns.
     """
 
     def __init__(self, groups: list[dict[str, Any]], lr: float, eps: float) -> None:

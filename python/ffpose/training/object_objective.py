@@ -90,11 +90,10 @@ class ObjectObjective(nn.Module):
             q_hat = model.orientation.decode(shown.orientation)
         with torch.no_grad():
             truth = nearest_equivalent(q_hat, truth, self.rotations)
-        cosine = (q_hat * truth).sum(-1)  # of half the angle, whose sine pulls evenly
-        angle = (1 - cosine.square() + 1e-6).clamp_min(1e-6).sqrt().mean()
-        with torch.no_grad():
             turned = rotation_vector(quaternion_product(truth, conjugate(q_hat)))
             residual = torch.cat((error, turned), dim=1)
+        cosine = (q_hat * truth).sum(-1)  # of half the angle, whose sine pulls evenly
+        angle = (1 - cosine.square() + 1e-6).clamp_min(1e-6).sqrt().mean()
         sigma = sigma_loss(shown, residual).mean()
         in_view = F.binary_cross_entropy_with_logits(numbers.in_view, present.float())
         total = (
@@ -109,8 +108,7 @@ class ObjectObjective(nn.Module):
             total = total + self._coordinates_loss(feature_map, batch)
         if "heatmaps" in self.dense:
             seen = self._maps("heatmaps", feature_map, batch)
-            places = batch.keypoints[present]
-            total = total + c.keypoints * heatmap_loss(seen, places)
+            total = total + c.keypoints * heatmap_loss(seen, batch.keypoints[present])
         return LossTerms(total, first + offset, orientation)
 
     def _maps(self, name: str, feature_map: Tensor, batch: PatchBatch) -> Tensor:
@@ -149,8 +147,8 @@ def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
     near = at.floor()
     rest = at - near
     total = torch.zeros_like(log_p[..., 0])
-    for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        step = torch.tensor([right, below], dtype=places.dtype, device=places.device)
+    for corner in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        step = torch.tensor(corner, dtype=places.dtype, device=places.device)
         weight = torch.where(step > 0, rest, 1 - rest).prod(-1)
         u, v = (near + step).long().unbind(-1)
         cell = v.clamp(0, rows - 1) * columns + u % columns

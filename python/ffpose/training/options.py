@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
+from ffpose._internal.files import read_text
 from ffpose._internal.options import check_spelling, join, restyle, split, wrong
 from ffpose.config import PRESETS
 from ffpose.errors import DataError, require
@@ -54,8 +55,7 @@ def add_fields(parser: ArgumentParser) -> None:
 
 def field_parser() -> ArgumentParser:
     """Return a parser of the fields alone."""
-    jsonargparse = require("jsonargparse", "pose")
-    parser = cast("ArgumentParser", jsonargparse.ArgumentParser(exit_on_error=False))
+    parser: ArgumentParser = require("jsonargparse", "pose").ArgumentParser(exit_on_error=False)
     add_fields(parser)
     return parser
 
@@ -95,7 +95,7 @@ def _value(option: str, value: str) -> str:
             path = configs.resolve(value)
         except FileNotFoundError as error:
             raise wrong(str(error)) from error
-        check_document(path.read_text(encoding="utf-8"))
+        check_document(read_text(path))
         return str(path)
     nested, listed = option.startswith(OPEN), option in LISTS
     if value.startswith(("{", "[")):
@@ -151,7 +151,7 @@ def load_config(path: Path) -> TrainConfig:
     from jsonargparse import ArgumentError
 
     parser = field_parser()
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path)
     try:
         check_document(text)
         values = parser.instantiate(parser.parse_string(text))

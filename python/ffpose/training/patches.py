@@ -5,11 +5,10 @@ boresight; the virtual camera of the second look is pointed to where a first loo
 the object, and rotated about the viewing ray by any angle. Each is one homography of the stored
 pixels, and the label changes exactly with it (`ffpose.models.virtual_camera`). Of the attitudes in
 which a symmetric object looks the same, the label is the one that is seen from the direction
-nearest to a reference in the object's frame (`ffpose.geometry.symmetry`). That choice does not
-depend on the camera's rotation about the viewing ray, so labels stay equivariant to it; it depends
-on no prediction, so attitude, object coordinates and keypoints agree. Brightness, blur and noise
-are varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings
-of other resolutions, which they do not know.
+nearest to a reference in the object's frame (`ffpose.geometry.symmetry`): equivariant to the
+camera's rotation about the viewing ray, and of no prediction, so that attitude, object coordinates
+and keypoints agree. Brightness, blur and noise are varied before, in the stored pixels, as a camera
+makes them: a polar view has a seam and rings of other resolutions, which they do not know.
 
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
 once from whole patches. It holds all of them where its memory has room (`PatchBatches.held`), and
@@ -23,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from ffpose.errors import expect
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
@@ -71,12 +72,10 @@ class PatchBatch(NamedTuple):
         frames: ``(F, 3, h, w)``, standardized input of the first look for the first F samples.
         translation: ``(F, 3)``, where they show the object, meters.
         crops: ``(B, 3, h, w)``, standardized input of the second look.
-        tan_half_angle: ``(B,)``, tangents of half the angle that it covers, as
-            `ffpose.models.virtual_camera.VirtualCamera.tan_half_angle`.
+        tan_half_angle: ``(B,)``, of half the angle that a view covers (`VirtualCamera`).
         orientation: ``(B, 4)``, unit quaternions in the virtual camera's frame.
         offset: ``(B, 3)``, as `ffpose.models.second_look.offset_of`.
-        coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
-            object, 0 or 1.
+        coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and its mask, 0 or 1.
         keypoints: ``(B, K, 2)``, places of the object's keypoints, column and row relative to the
             view's width and height: outside of 0 to 1 where the view does not show them.
         present: ``(B,)`` bool, whether the sample shows the object.
@@ -96,17 +95,14 @@ class PatchBatch(NamedTuple):
 
 
 class StoredBatch(NamedTuple):
-    """What is stored of ``B`` samples, of which the first are negatives, and of these no scenes.
+    """What is stored of ``B`` samples, as `PatchBatch` and `DrawnBatch` name it.
 
     Attributes:
-        frames: ``(F, h, w, 3)`` uint8, of the first F samples.
-        translation: ``(F, 3)`` float32, where they show the object, meters.
+        frames: ``(F, h, w, 3)`` uint8.
+        translation: ``(F, 3)`` float32.
         windows: ``(B - C, S, S, 3)`` uint8, of the samples that are scenes, after the first C.
         coordinates: ``(B, S/2, S/2, 4)`` uint8.
         labels: ``(B, 13)`` float32, of the windows; of the first C, of images of the set.
-        index: ``(B,)``, indices of the samples in the set.
-        negatives: Number of samples that do not show the object.
-        seed: Of the random numbers of their augmentation.
     """
 
     frames: Tensor
@@ -156,8 +152,7 @@ class PatchBatches:
         arrays: Patches of one or several sets, as `ffpose.imaging.patches` stores them.
         empty: Patches without an object; may be empty.
         augmentation: Ranges of the augmentation.
-        std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
-            outside an image are zero as well.
+        std: Standard deviation of the input's preprocessing, whose mean is zero.
         cells: Rows and columns of the coordinate map.
         keypoints: Points of the object ``(K, 3)``, meters; there may be none.
         symmetry: Rotations that leave the object's look unchanged.
@@ -214,8 +209,7 @@ class PatchBatches:
             ValueError: ``batch_size`` is less than one or more than the number of samples.
         """
         most = len(self) // processes.world
-        if not 1 <= batch_size <= most:
-            raise ValueError(f"batch_size: expected 1 to {most}, got {batch_size}")
+        expect(1 <= batch_size <= most, "batch_size", f"1 to {most}", batch_size)
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         own = order[processes.share(most * processes.world)]
         return PatchEpoch(self, own, batch_size, (seed, processes.rank))
@@ -255,10 +249,6 @@ class PatchBatches:
         seed = int(torch.randint(1 << 62, (), generator=generator))
         rows = torch.tensor(changed, dtype=torch.long)
         return DrawnBatch(index, first, negatives, chosen, rows, jpeg, seed)
-
-    def stored(self, index: Tensor, generator: torch.Generator) -> StoredBatch:
-        """Return what is stored of the samples ``index``, as `drawn` says."""
-        return self.gathered(self.drawn(index, generator))
 
     def gathered(self, drawn: DrawnBatch) -> StoredBatch:
         """Return what is stored of drawn samples, from where the patches are."""
@@ -317,11 +307,7 @@ class PatchBatches:
         )
 
     def _canonical(self, rotation: Tensor) -> Tensor:
-        """Return the symmetries ``(B, 4)`` after which views have their canonical label.
-
-        Args:
-            rotation: ``(B, 3, 3)``, from the object's frame to the virtual camera's.
-        """
+        """Return the symmetries ``(B, 4)`` after which views, ``R (B, 3, 3)``, have their label."""
         seen_from = -rotation[:, 2]  # the camera's direction in the object's frame
         return self.symmetries[(seen_from @ self.references.mT).argmax(dim=1)]
 
@@ -356,13 +342,7 @@ class PatchBatches:
         return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, present: Tensor, generator: torch.Generator) -> Tensor:
-        """Return positions where a first look might find what is at ``t (B, 3)``.
-
-        Args:
-            t: Meters.
-            present: ``(B,)`` bool, whether it is the object.
-            generator: On the device of this set.
-        """
+        """Return positions where a first look might find what is at ``t (B, 3)``, meters."""
         a, device = self.augmentation, self.device
         outlier = torch.rand(len(t), generator=generator, device=device) < a.look_outliers
         scale = torch.where(present, 1 + (OUTLIER - 1) * outlier.float(), NEGATIVE)[:, None]
@@ -388,9 +368,7 @@ class PatchBatches:
             return sample_planes(self._varied(_images(windows), generator), *pixels.unbind(-1))
         seen = []
         for window, places in zip(windows, pixels, strict=True):
-            (left, right), (top, bottom) = (
-                _span(axis, window.shape[0]) for axis in places.unbind(-1)
-            )
+            (left, right), (top, bottom) = (_span(axis, len(window)) for axis in places.unbind(-1))
             part = _images(window[None, top:bottom, left:right])
             image = self.photometry.one(part, generator)
             within = places[None] - torch.tensor([left, top])
@@ -407,10 +385,7 @@ class PatchBatches:
     def _coordinates(
         self, stored: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
     ) -> Tensor:
-        """Look up coordinates and mask ``(B, 4, rows, columns)`` at the cells' centers.
-
-        The coordinates are those of an object turned by the inverses of ``turn (B, 3, 3)``.
-        """
+        """Look up coordinates, turned by the inverses of ``turn``, and mask at cells' centers."""
         cells = source_pixels(view.resized(self.cells), intrinsics / 2).floor()
         side = stored.shape[1]
         inside = ((cells >= 0) & (cells < side)).all(-1)
@@ -425,26 +400,19 @@ class PatchBatches:
         return found
 
 
+@dataclass(eq=False)
 class PatchEpoch(Dataset[Prepared]):
-    """The whole batches of one pass over the samples, each made when it is asked for.
+    """The whole batches of one pass over the samples of ``order``, each made when it is asked for.
 
-    They are made in full on a CPU; for a GPU they are read, or only drawn, and made there.
-
-    The random numbers of a batch come from the seed and its number alone, so that it is the same
+    They are made in full on a CPU; for a GPU they are read, or only drawn, and made there. The
+    random numbers of a batch come from ``seed`` and its number alone, so that it is the same
     whichever thread or process makes it.
-
-    Args:
-        patches: What makes them.
-        order: Indices of the samples, in order.
-        batch_size: Samples of each batch.
-        seed: Numbers that are the pass's own.
     """
 
-    def __init__(
-        self, patches: PatchBatches, order: Tensor, batch_size: int, seed: tuple[int, ...]
-    ) -> None:
-        self.patches, self.order, self.seed = patches, order, seed
-        self.batch_size = batch_size
+    patches: PatchBatches
+    order: Tensor
+    batch_size: int
+    seed: tuple[int, ...]
 
     def __len__(self) -> int:
         return len(self.order) // self.batch_size
@@ -488,7 +456,7 @@ def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
 
 def _joined(sets: Sequence[Arrays], name: str, device: torch.device) -> Tensor:
     """Return an array of all sets on a device, where one after the other is brought."""
-    parts = [torch.from_numpy(np.ascontiguousarray(each[name])).to(device) for each in sets]
+    parts = [torch.tensor(each[name], device=device) for each in sets]
     return torch.cat(parts) if parts else torch.zeros(0, device=device)
 
 

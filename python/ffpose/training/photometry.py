@@ -49,25 +49,23 @@ class Photometry:
         """Vary images ``(B, 3, h, w)`` on any device, each by its own draws, without waiting."""
         a, device = self.augmentation, images.device
 
-        def drawn(sample: Tensor) -> Tensor:
-            return sample[:, None, None, None]
-
-        count = (len(images),)
-        without = torch.zeros(count, dtype=torch.bool, device=device)
+        each = (len(images), 1, 1, 1)
+        without = torch.zeros(each, dtype=torch.bool, device=device)
         if a.monochrome > 0:
-            without = torch.rand(count, generator=generator, device=device) < a.monochrome
+            without = torch.rand(each, generator=generator, device=device) < a.monochrome
             weights = torch.rand(len(images), 3, generator=generator, device=device)
-            images = torch.where(drawn(without), _monochrome(images, weights), images)
-        stops = a.brightness * torch.randn(count, generator=generator, device=device)
-        images = images * (self.scale * drawn(2**stops))
+            images = torch.where(without, _monochrome(images, weights), images)
+        stops = a.brightness * torch.randn(each, generator=generator, device=device)
+        images = images * (self.scale * 2**stops)
         if a.blur > 0:
-            share = a.blur * torch.rand(count, generator=generator, device=device).square()
-            images = torch.lerp(images, _smooth(images), drawn(share))
+            share = a.blur * torch.rand(each, generator=generator, device=device).square()
+            images = torch.lerp(images, _smooth(images), share)
         if a.noise > 0:
-            sigma = a.noise * torch.rand(count, generator=generator, device=device).square()
+            sigma = a.noise * torch.rand(each, generator=generator, device=device).square()
             noise = torch.randn(images.shape, generator=generator, device=device)
-            noise = torch.where(drawn(without), noise[:, :1], noise)
-            images = torch.addcmul(images, noise, drawn(sigma) * self.unit)
+            images = torch.addcmul(
+                images, torch.where(without, noise[:, :1], noise), sigma * self.unit
+            )
         return images
 
     def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
@@ -91,5 +89,4 @@ def _monochrome(images: Tensor, weights: Tensor) -> Tensor:
 
 
 def _smooth(images: Tensor) -> Tensor:
-    coarse = halve(images)
-    return F.interpolate(coarse, images.shape[-2:], mode="bilinear")
+    return F.interpolate(halve(images), images.shape[-2:], mode="bilinear")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import socket
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -42,11 +41,12 @@ LONGEST_WAIT = timedelta(days=7)
 """For what one process does alone, such as rendering; where one dies, its connections close."""
 
 JOINED = "joined"
+HERE = "127.0.0.1"
 
 T = TypeVar("T")
 
-_others: list[BaseProcess] = []
-"""What `started` has started beside this process, which waits until all of them have joined."""
+_beside: list[tuple[TCPStore, list[BaseProcess]]] = []
+"""What `started` has started beside this process, which waits until all have come to the store."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,27 @@ class Processes:
 ALONE = Processes()
 
 
+def launched() -> int:
+    """Return the number of processes that ``torchrun`` has started; 1 without it."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def count_processes(asked: int) -> int:
+    """Return the number of processes that train: as asked, or those of ``torchrun``.
+
+    Raises:
+        ValueError: ``torchrun`` has started processes, and others were asked for.
+    """
+    world = launched()
+    expected = f"1 or {world} under torchrun, which starts them itself"
+    expect(world == 1 or asked in (1, world), "processes", expected, asked)
+    return asked if world == 1 else world
+
+
 @contextmanager
 def joined(device: str) -> Iterator[Processes]:
     """Join the group of ``torchrun``'s environment, and leave it at the end."""
-    world = int(os.environ.get("WORLD_SIZE", "1"))
+    world = launched()
     if world == 1 or distributed.is_initialized():
         yield ALONE if world == 1 else current()
         return
@@ -160,18 +177,13 @@ def _store() -> Store:
     ``torchrun`` keeps one store over its restarts of a group (PyTorch issue 135712): a process that
     is early would find the addresses of those that ended, and wait for them. On one machine the
     starts are counted; on several the counts differ, and docs/training.md names the remedy.
-
-    Raises:
-        ChildProcessError: A process that `started` has started ended instead of coming here.
     """
-    if _others:  # torch would wait for the dead, deaf to signals
-        port = int(os.environ["MASTER_PORT"])
-        own = TCPStore("127.0.0.1", port, is_master=True, wait_for_workers=False)
-        while own.add(JOINED, 0) < len(_others):
-            for rank, process in enumerate(_others, start=1):
+    for own, others in _beside:  # torch would wait for the dead, deaf to signals
+        while own.add(JOINED, 0) < len(others):
+            for rank, process in enumerate(others, start=1):
                 if process.exitcode is not None:
                     raise ChildProcessError(
-                        f"process {rank} of {len(_others)} beside this one ended with code"
+                        f"process {rank} of {len(others)} beside this one ended with code"
                         f" {process.exitcode} before the training began"
                     )
             time.sleep(0.05)
@@ -204,32 +216,30 @@ def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[
 def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
 
-    The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
-    others call ``work``, a function of a module, and leave Ctrl-C to this one. They end where the
-    block raises, and where SIGTERM ends this process, which then exits with code 143.
-
-    Raises:
-        ValueError: ``torchrun`` has started processes already.
+    The environment says of each what ``torchrun`` would, whose own are there already, and torch's
+    threads are shared out. The others call ``work``, a function of a module, and leave Ctrl-C to
+    this one. They end where the block raises, and where SIGTERM ends this process, with code 143.
     """
-    if count == 1:
+    if count == 1 or launched() > 1:
         yield
         return
-    by_torchrun = int(os.environ.get("WORLD_SIZE", "1")) > 1
-    expect(not by_torchrun, "processes", "1 under torchrun, which starts them itself", count)
-    threads = max(1, torch.get_num_threads() // count)
-    place = {"WORLD_SIZE": str(count), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(_free_port())}
-    context = multiprocessing.get_context("spawn")
-    others = [
-        context.Process(target=_follow, args=(place, rank, threads, work, args))
-        for rank in range(1, count)
-    ]
     own = torch.get_num_threads()
+    threads = max(1, own // count)
+    context = multiprocessing.get_context("spawn")
+    others = list[BaseProcess]()
     try:
         with exit_on_sigterm():
             with interrupts_held():
+                store = TCPStore(HERE, 0, is_master=True, wait_for_workers=False)
+                port = str(store.port)
+                place = {"WORLD_SIZE": str(count), "MASTER_ADDR": HERE, "MASTER_PORT": port}
+                others += [
+                    context.Process(target=_follow, args=(place, rank, threads, work, args))
+                    for rank in range(1, count)
+                ]
                 for process in others:
                     process.start()
-            _others.extend(others)
+            _beside.append((store, others))
             torch.set_num_threads(threads)
             with environment(RANK="0", LOCAL_RANK="0", **place):
                 yield
@@ -242,7 +252,7 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
         for process in others:
             if process.pid is not None:
                 process.join()
-        _others.clear()
+        _beside.clear()
         torch.set_num_threads(own)
 
 
@@ -253,10 +263,3 @@ def _follow(
     os.environ.update(place, RANK=str(rank), LOCAL_RANK=str(rank))
     torch.set_num_threads(threads)
     work(*args)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -18,8 +18,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from ffpose.errors import require
-
 if TYPE_CHECKING:
     from ffpose.training.checkpoint import Row
     from ffpose.training.stages import Epoch
@@ -89,16 +87,13 @@ def events(folder: Path, done: int, *, wanted: bool) -> Iterator[Callable[[Row],
 
     It writes nothing where TensorBoard is not wanted. What a stopped run wrote of epochs after
     ``done`` is left out.
-
-    Raises:
-        ffpose.MissingExtraError: TensorBoard is not installed.
     """
     if not wanted:
         yield lambda row: None
         return
-    require("tensorboard", "tb")
-    board = require("torch.utils.tensorboard", "tb")
-    with board.SummaryWriter(str(folder / EVENTS), purge_step=done + 1) as writer:
+    from torch.utils.tensorboard import SummaryWriter
+
+    with SummaryWriter(str(folder / EVENTS), purge_step=done + 1) as writer:
 
         def write(row: Row) -> None:
             for name, value in row.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
+from ffpose.imaging.patches import Arrays
 from ffpose.imaging.reprojection import lens_of
 from ffpose.models import read_metadata
 from ffpose.render import find_scene
@@ -44,21 +46,17 @@ def recipe(
     fields["init"] = init
     if config.symmetry is not None:
         fields["symmetry"] = symmetry.to_json()
-    fields["data"] = {
-        name: value
-        for name, value in fields["data"].items()
-        if name not in ("root", "keypoints", "workers")
-    } | {"scene": set_name(config.data) if config.data.kind == "scenes" else config.data.scene}
+    for name in ("root", "keypoints", "workers"):
+        del fields["data"][name]
+    if config.data.kind == "scenes":
+        fields["data"]["scene"] = set_name(config.data)
     return fields
 
 
 def set_name(config: DataConfig) -> str:
     """Return the name of an image set: of its folder, or of the rendered scenes."""
-    return (
-        "+".join(map(scene_name, config.scenes))
-        if config.kind == "scenes"
-        else config.root.resolve().name
-    )
+    scenes = map(scene_name, config.scenes)
+    return "+".join(scenes) if config.kind == "scenes" else config.root.resolve().name
 
 
 def scene_name(scene: str) -> str:
@@ -95,6 +93,15 @@ def describe_data(
     }
 
 
+def describe_patches(
+    patches: Sequence[Arrays], val_set: PoseDataset, config: DataConfig
+) -> dict[str, Any]:
+    """Describe stored patches as `describe_data`; the digest is of their labels."""
+    labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in patches]
+    digest = hashlib.sha256(b"".join(part.tobytes() for part in labels))
+    return describe_data(config, np.concatenate(labels)[:, :7], val_set, digest)
+
+
 def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
     """Describe whole images as `describe_data`, what their labels locate, and their distortion.
 
@@ -105,6 +112,7 @@ def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
     for name, pose in zip(dataset.names, dataset.poses, strict=True):
         digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
     described = describe_data(config, dataset.poses, dataset, digest)
-    lens = None if dataset.camera is None else lens_of(dataset.camera)
-    distortion = {} if lens is None else {"distortion": list(lens)}
-    return {**described, "locates": dataset.target, **distortion}
+    described["locates"] = dataset.target
+    if dataset.camera is not None and (lens := lens_of(dataset.camera)) is not None:
+        described["distortion"] = list(lens)
+    return described

@@ -13,7 +13,7 @@ from torch import nn
 
 from ffpose._internal.torch_internals import multiplies_bfloat16
 from ffpose._internal.zoo import resolve_initial
-from ffpose.config import PolarPoseConfig, looks_twice
+from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     BaseNetwork,
@@ -33,7 +33,7 @@ from ffpose.training.muon import Muon, matrices
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import ALONE, Processes
-from ffpose.training.provenance import origin
+from ffpose.training.provenance import describe_images, describe_patches, origin, recipe
 from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 
@@ -50,12 +50,11 @@ class Run:
         average: Its moving average, which is validated and saved.
         optimizer: Over network and loss; made anew where a stage begins.
         task: Batches, loss and validation.
-        processes: This process's place among those that train together.
         device: Where the network computes.
-        init: Provenance of the initial weights (`ffpose.training.provenance.origin`); None for
-            none.
         calibration: Images that calibrate a network with a second look.
         symmetry: The rotations that labels and errors are modulo.
+        recipe: What the weights' header says of the training (`ffpose.training.provenance`).
+        data: What it says of the training images.
     """
 
     config: TrainConfig
@@ -64,10 +63,10 @@ class Run:
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
-    processes: Processes = ALONE
-    init: dict[str, Any] | None = None
-    calibration: CalibrationSet | None = None
-    symmetry: SymmetryGroup = IDENTITY
+    calibration: CalibrationSet | None
+    symmetry: SymmetryGroup
+    recipe: dict[str, Any]
+    data: dict[str, Any]
 
 
 def build_run(
@@ -79,12 +78,9 @@ def build_run(
 ) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
-    Args:
-        config: What the run is asked to do.
-        processes: This process's place among those that train together.
-        resumed: Header of the last weights of a run that is resumed. Neither the backbone's
-            pretrained weights nor the initial weights are read then: the checkpoint has all.
-        quiet: As of `open_training_data`.
+    ``resumed`` is the header of the last weights of a run that is resumed. Neither the backbone's
+    pretrained weights nor the initial weights are read then: the checkpoint has all. ``quiet`` is
+    as of `open_training_data`.
 
     Raises:
         FileNotFoundError: There are no such initial weights.
@@ -93,43 +89,38 @@ def build_run(
     """
     device = find_device(config.device)
     config = replace(config, autocast=chosen_autocast(config.autocast, device))
-    initial = None
-    if resumed is None and config.init is not None:
-        initial = resolve_initial(config.init)
-        if not initial.is_file():
-            raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
+    given = None if resumed else config.init
+    initial = None if given is None else resolve_initial(given)
+    if initial is not None and not initial.is_file():
+        raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
     fields = dict(config.model_fields)
     # What the data decide is not known yet; the structure is.
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
     check_stages(model_config.parts, config.resolved_stages)
-    object_view = looks_twice(model_config)
     symmetry = IDENTITY if config.symmetry is None else SymmetryGroup.read(config.symmetry)
-    if len(symmetry) > 1 and not object_view:
+    if len(symmetry) > 1 and not looks_twice(model_config):
         raise ValueError(
             f"symmetry: expected with a network that looks twice, got it with {config.model}"
         )
     size, mode = model_config.image_size, config.data.mode
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
-    if object_view:  # what lies outside an image is zero for the virtual camera, and is black
+    if looks_twice(model_config):  # a virtual camera sees zero outside an image, which is black
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     with processes.leader_first():  # who renders and fills caches
+        dense = config.object_loss.renders
         data = open_training_data(
-            config.data,
-            model_config,
-            preprocessing,
-            coordinates=config.object_loss.renders,
-            quiet=quiet,
+            config.data, model_config, preprocessing, coordinates=dense, quiet=quiet
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
-    if isinstance(model_config, PolarPoseConfig) and config.data.kind != "scenes":
-        _check_distances(data.poses, model_config.distance_m)
-    if config.normalize_translation and not object_view:
+    if data.train_set is not None and looks_twice(model_config):
+        _check_distances(data.train_set.poses, model_config.distance_m)
+    elif data.train_set is not None and config.normalize_translation:
         before = resumed if initial is None else read_metadata(initial)
-        if before is None or type(before.config) is not type(model_config):
-            fields |= translation_statistics(data.poses)
-        else:
-            fields |= scaled_as(before)
+        statistics = translation_statistics(data.train_set.poses)
+        if before is not None and type(before.config) is type(model_config):
+            statistics = {name: getattr(before.config, name) for name in statistics}
+        fields = statistics | fields
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
@@ -143,8 +134,20 @@ def build_run(
     task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema, config.init_share)
-    images = data.calibration
-    return Run(config, model, average, optimizer, task, device, processes, init, images, symmetry)
+    return Run(
+        config,
+        model,
+        average,
+        optimizer,
+        task,
+        device,
+        data.calibration,
+        symmetry,
+        recipe(config, init, symmetry),
+        describe_patches(data.patches, data.val_set, config.data)
+        if isinstance(task, ObjectTask)
+        else describe_images(task.train_set, config.data),
+    )
 
 
 def chosen_autocast(
@@ -163,7 +166,7 @@ def _task(
     device: torch.device,
     processes: Processes,
     symmetry: SymmetryGroup,
-) -> Task:
+) -> FrameTask | ObjectTask:
     shared = config.batch_size, config.data.workers, processes
     if isinstance(model, PolarPose):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
@@ -219,11 +222,6 @@ def _check_distances(poses: NDArray[np.float64], trained: Sequence[float]) -> No
             f" tell, got {low:.3g} to {high:.3g}; --model.distance-m {low:.3g},{high:.3g} trains"
             " such a network"
         )
-
-
-def scaled_as(weights: WeightsMetadata) -> dict[str, tuple[float, ...]]:
-    """Return the model's fields of `translation_statistics`, as weights were trained with them."""
-    return {name: getattr(weights.config, name) for name in ("translation_mean", "translation_std")}
 
 
 def build_optimizer(

@@ -4,8 +4,7 @@ The paper (section 4.3) trains in three stages: everything for 500 epochs; then 
 150 epochs with the orientation branch frozen; then the orientation for 150 epochs with the
 translation branch frozen. It does not say whether the shared backbone is trained in the last two.
 Here it is frozen there, including its batch norm: training it would change the features that the
-frozen branch relies on. Each stage starts from the best weights so far, and the learned weight of a
-frozen branch's loss is frozen with it.
+frozen branch relies on. Each stage starts from the best weights so far.
 """
 
 from __future__ import annotations
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stage:
-    """A number of epochs during which some parts of the model are frozen.
+    """A number of epochs during which some `ffpose.config.NetworkConfig.parts` are frozen.
 
-    Those get no gradient and stay in evaluation mode; they are of the parts that the network's
-    configuration names (`ffpose.config.NetworkConfig.parts`).
+    Those get no gradient and stay in evaluation mode.
     """
 
     name: str
@@ -35,9 +33,6 @@ class Stage:
     def __post_init__(self) -> None:
         expect(self.epochs >= 1, f"stage {self.name!r}", "at least 1 epoch", self.epochs)
 
-
-HEADS = {"orientation_branch": "orientation"}
-"""Modules that are frozen with a part, whose outputs they turn into attitudes."""
 
 JOINT_STAGE = Stage("joint", 500)
 """First stage of the paper: everything is trained."""
@@ -109,18 +104,15 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     names = [stage.name for stage in stages]
     if len(set(names)) < len(names):
         raise ValueError(f"stages: expected names that differ, got {', '.join(names)}")
-    for stage in stages:
-        for part in stage.freeze:
-            among = f"parts out of {', '.join(parts)}"
-            expect(part in parts, f"stage {stage.name!r}", among, part)
-        if set(stage.freeze) == set(parts):
-            raise ValueError(
-                f"stage {stage.name!r}: nothing is left to train, all parts are frozen"
-            )
+    for name, frozen in ((f"stage {stage.name!r}", stage.freeze) for stage in stages):
+        for part in frozen:
+            expect(part in parts, name, f"parts out of {', '.join(parts)}", part)
+        if set(frozen) == set(parts):
+            raise ValueError(f"{name}: nothing is left to train, all parts are frozen")
 
 
-LOSS_WEIGHTS = {"translation_branch": "s_t", "orientation_branch": "s_q"}
-"""The learned weight of each branch's loss (`ffpose.training.losses.JointLoss`)."""
+FROZEN_WITH = {"translation_branch": ("s_t",), "orientation_branch": ("s_q", "orientation")}
+"""Learned weights of a branch's loss (`ffpose.training.losses.JointLoss`), and its head."""
 
 
 def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
@@ -128,13 +120,13 @@ def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
 
     A frozen part gets no gradient and stays in evaluation mode: no dropout, and batch norm uses its
     running statistics unchanged. The learned weight of a frozen branch's loss gets none either: the
-    branch's errors do not fall any more, and would only move it. Safe to call at every epoch.
+    branch's errors do not fall any more, and would only move it.
     """
+    frozen = {name for part in stage.freeze for name in (part, *FROZEN_WITH.get(part, ()))}
     for name, weight in loss.named_parameters():
-        weight.requires_grad_(name not in {LOSS_WEIGHTS.get(part) for part in stage.freeze})
+        weight.requires_grad_(name not in frozen)
     model.train()
     model.requires_grad_(True)
-    frozen = {*stage.freeze, *(HEADS[part] for part in stage.freeze if part in HEADS)}
     for name, part in model.named_children():
         if name in frozen:
             part.eval().requires_grad_(False)

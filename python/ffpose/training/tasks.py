@@ -8,7 +8,6 @@ whole images.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -16,24 +15,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from PIL import Image
-from torch import Tensor, nn
+from torch import nn
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.errors import expect
-from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, FrameNetwork, PolarPose
 from ffpose.nn.orientation import QuaternionHead
-from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch, PatchBatches, Prepared
 from ffpose.training.processes import Processes
-from ffpose.training.provenance import describe_data, describe_images
 
 LEAST_BATCHES = 4
 """Batches of an epoch for each worker, or more: fewer do not pay for its start."""
@@ -66,9 +59,9 @@ class Task(ABC):
         """Number of training images that an epoch uses, over all processes."""
 
     @property
-    @abstractmethod
     def steps(self) -> int:
-        """Number of batches per epoch in this process."""
+        """Number of batches per epoch in this process, the last of which may be smaller."""
+        return -(-(self.images // self.processes.world) // self.batch_size)
 
     @abstractmethod
     def batches(self, seed: int) -> Iterator[Any]:
@@ -78,22 +71,19 @@ class Task(ABC):
     def terms(self, model: BaseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
-    @abstractmethod
     def names(self, batch: Any) -> str:
-        """Return the names of a batch's images, for error messages."""
+        """Return the names of a batch's images, or their indices, for error messages."""
+        return ", ".join(map(str, batch.index.tolist()))
 
     def weights(self) -> dict[str, float]:
-        """Return the learnable weights of the loss, for the table of results."""
-        return {}
+        """Return the learnable weights of the loss's terms, for the table of results."""
+        learned = self.loss.named_parameters()
+        return {name: value.item() for name, value in learned if value.dim() == 0}
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
         share = self.processes.share(len(self.val_set))
         return iter(DataLoader(self.val_set, VALIDATION_BATCH, sampler=share))
-
-    @abstractmethod
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Describe the training images, for the header of the weights."""
 
 
 class Objective(nn.Module):
@@ -121,11 +111,6 @@ class FrameTask(Task):
         """Number of training images that an epoch uses, over all processes."""
         world = self.processes.world
         return len(self.train_set) // world * world
-
-    @property
-    def steps(self) -> int:
-        """Number of batches per epoch in this process."""
-        return -(-(self.images // self.processes.world) // self.batch_size)
 
     def batches(self, seed: int) -> Iterator[Sample]:
         """Iterate once over the training split, in an order drawn from ``seed``.
@@ -163,17 +148,9 @@ class FrameTask(Task):
         """Return the file names of a batch."""
         return ", ".join(self.train_set.names[int(i)] for i in torch.as_tensor(batch.index))
 
-    def weights(self) -> dict[str, float]:
-        """Return the two weights where they are learned."""
-        return {name: value.item() for name, value in self.loss.named_parameters()}
-
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
         return self._loader(self.val_set, sampler=self.processes.share(len(self.val_set)))
-
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, number, size, mean pose and digest of the training images."""
-        return describe_images(self.train_set, config)
 
 
 @dataclass(eq=False)
@@ -190,12 +167,8 @@ class ObjectTask(Task):
     @property
     def images(self) -> int:
         """Number of training images that an epoch uses, over all processes: whole batches only."""
-        return self.steps * self.batch_size * self.processes.world
-
-    @property
-    def steps(self) -> int:
-        """Number of batches per epoch in this process."""
-        return len(self.patches) // self.processes.world // self.batch_size
+        together = self.batch_size * self.processes.world
+        return len(self.patches) // together * together
 
     def batches(self, seed: int) -> Iterator[Prepared]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
@@ -204,15 +177,8 @@ class ObjectTask(Task):
         if workers == 0 or sys.platform != "linux":  # others copy the patches to each worker
             return prefetched(epoch[number] for number in range(len(epoch)))
         own = torch.Generator()  # or the network's random numbers would depend on the workers
-        return iter(
-            DataLoader(
-                epoch,
-                batch_size=None,
-                num_workers=workers,
-                multiprocessing_context="fork",
-                generator=own,
-            )
-        )
+        forked: dict[str, Any] = {"num_workers": workers, "multiprocessing_context": "fork"}
+        return iter(DataLoader(epoch, batch_size=None, generator=own, **forked))
 
     def terms(self, model: BaseNetwork, batch: Prepared, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
@@ -223,27 +189,8 @@ class ObjectTask(Task):
         result: LossTerms = self.loss(model, batch)
         return result
 
-    def names(self, batch: Prepared) -> str:
-        """Return the indices of a batch's patches."""
-        return ", ".join(map(str, batch.index.tolist()))
 
-    def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
-        labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.patches.sets]
-        digest = hashlib.sha256(b"".join(part.tobytes() for part in labels))
-        return describe_data(config, np.concatenate(labels)[:, :7], self.val_set, digest)
-
-
-def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
-    """Yield images ``(N, H, W, 3)`` as standardized batches of the network's input size."""
-    for start in range(0, len(images), VALIDATION_BATCH):
-        part = images[start : start + VALIDATION_BATCH]
-        yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
-
-
-def prefetched(
-    batches: Iterator[Prepared],
-) -> Iterator[Prepared]:
+def prefetched(batches: Iterator[Prepared]) -> Iterator[Prepared]:
     """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)
