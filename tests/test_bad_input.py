@@ -153,8 +153,8 @@ def test_the_wrong_number_of_arguments_is_refused():
             TypeError,
             "(?s)real numbers, got .1.*altitude",
         ),
-        (lambda: shade_earth(detail=-1), ValueError, r"(?s)detail must be in 0…255, got -1"),
-        (lambda: shade_earth(detail=2**80), ValueError, f"detail must be in 0…255, got {2**80}"),
+        (lambda: shade_earth(detail=-1), ValueError, r"(?s)detail must be in 0…16, got -1"),
+        (lambda: shade_earth(detail=2**80), ValueError, f"detail must be in 0…16, got {2**80}"),
         (
             lambda: shade_earth(ground=[[1j] * 3] * 3),
             TypeError,

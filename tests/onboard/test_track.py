@@ -157,7 +157,10 @@ def test_looks_that_a_model_was_exported_with_must_be_there(run, models, opened,
     assert refusal in error
     assert opened()[0] == 2
     assert refusal.encode() in library.ffpose_error()
+    with pytest.raises(FileNotFoundError, match=r"expected .*x\.track\.onnx, a track's looks"):
+        load(models, track=True)
     assert run(models, "--stdin")[0] == 0  # which needs none
+    load(models)
 
 
 def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,9 +21,6 @@ from ffpose.inference.prediction import camera_beside
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import quantize
 from ffpose.onnx.metadata import read_model_metadata, sealed
-
-OPTION = re.compile(r"(, which another camera took)?[:;][^:;]*--(camera FILE|resize)\b.*")
-"""Ways out of an error about a camera that are options of other commands than `ffpose export`."""
 
 
 @dataclass(frozen=True)
@@ -113,9 +109,7 @@ def _camera_beside_images(image: Path | None = None) -> Iterator[None]:
     except DataError:
         raise
     except ValueError as error:
-        text = (
-            OPTION.sub("", str(error)) + "; calibration images are of the camera.json beside them"
-        )
+        text = f"{error}; of calibration images it is the camera.json beside them, not an option"
         raise (DataError(text, image) if image else ValueError(text)) from error
 
 

@@ -57,7 +57,7 @@ def load(
         providers: ONNX Runtime's execution providers; None for the CPU's.
         track: Open the network's single look at a point too (`PoseEstimator.run` with points) where
             there is one: in weights of a PolarPose, or in ``X.track.onnx`` beside a graph
-            ``X.onnx``.
+            ``X.onnx``, which must be there if that was exported with ``--track``.
         warm_up: Number of runs on a black image, which allocate memory and plan, so that the first
             real image is not slowed by a cold start.
 
@@ -105,6 +105,9 @@ def load(
         beside = source.path.with_suffix(TRACK_SUFFIX)
         if track and beside.is_file():
             near, _ = open_one(beside, metadata)
+        elif track and metadata.track_sha256 is not None:
+            expected = f"a track's looks that {source.path} was exported with"
+            raise FileNotFoundError(f"model: expected {beside}, {expected}, got none")
     else:
         from ffpose.inference.in_torch import TorchSession
         from ffpose.models import PolarPose, open_weights
