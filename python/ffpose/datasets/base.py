@@ -153,7 +153,7 @@ class PoseDataset(Dataset[Sample]):
         """Return a pose as the vector ``(7,)`` that a network learns: the inverse of `to_pose`."""
         if self.target == "object":
             return pose.vector
-        return np.concatenate([-pose.rotation.T @ pose.t, pose.q])
+        return np.concatenate([pose.camera_center, pose.q])
 
     @property
     def spread(self) -> float:

@@ -203,6 +203,16 @@ class Pose:
         """Rotation matrix ``(3, 3)`` from the object frame to the camera frame."""
         return rotation_matrix(self.q)
 
+    @property
+    def camera_center(self) -> FloatArray:
+        """Center of the camera in the object's frame ``(3,)``, meters: ``-R(q)ᵀ t``.
+
+        Examples:
+            >>> camera_pose([1, 2, 3], [0, 0, 0, 1]).camera_center.tolist()
+            [1.0, 2.0, 3.0]
+        """
+        return np.asarray(-self.rotation.T @ self.t)
+
     def transform(self, points: ArrayLike) -> FloatArray:
         """Transform points of the object ``(..., 3)`` to the camera frame, meters."""
         return real_array("points", points, 3) @ self.rotation.T + self.t

@@ -43,7 +43,7 @@ class Prediction:
     @property
     def center(self) -> FloatArray:
         """The camera's center in the frame of the object or world ``(3,)``, meters."""
-        return np.asarray(-self.pose.rotation.T @ self.pose.t)
+        return self.pose.camera_center
 
     def to_dict(self) -> dict[str, Any]:
         """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.

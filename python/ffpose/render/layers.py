@@ -198,7 +198,7 @@ def _keypoints(craft: Craft, pose: Pose, camera: Camera) -> list[Keypoint]:
     points = np.array(list(craft.keypoints.values()))
     seen = pose.transform(points)
     pixels = camera.project(seen)
-    eye = -pose.rotation.T @ pose.t
+    eye = pose.camera_center
     toward = points - eye
     distance = np.linalg.norm(toward, axis=1)
     rays = (toward / distance[:, None]).astype(np.float32)

@@ -170,7 +170,7 @@ def _sensor(pose: Pose, focal: float, half: tuple[int, int], crop: list[tuple[in
     """Return Mitsuba's camera of the object frame, which looks along z with x left and y up."""
     place = np.eye(4)
     place[:3, :3] = pose.rotation.T @ np.diag([-1.0, -1.0, 1.0])
-    place[:3, 3] = -pose.rotation.T @ pose.t
+    place[:3, 3] = pose.camera_center
     (left, right), (top, bottom) = crop
     return load(
         {
@@ -206,7 +206,7 @@ def _lights(pose: Pose, light: Light) -> Iterator[dict[str, Any]]:
     if light.lamp > 0:
         yield {
             "type": "point",
-            "position": (-pose.rotation.T @ pose.t).tolist(),
+            "position": pose.camera_center.tolist(),
             "intensity": {"type": "rgb", "value": math.pi * light.lamp},
         }
     if light.earth > 0:
@@ -232,7 +232,7 @@ def _shapes(craft: Craft, pose: Pose, through: bool) -> tuple[dict[str, Any], di
     faces back to back in one place the camera sees the other one.
     """
     corners, backs = craft.mesh.vertices[craft.mesh.faces], _backs(craft, pose)
-    corners[backs] += STEP * (corners[backs] + pose.rotation.T @ pose.t)
+    corners[backs] += STEP * (corners[backs] - pose.camera_center)
     lit: dict[str, Any] = {}
     glowing: dict[str, Any] = {}
     if through:
@@ -254,7 +254,7 @@ def _backs(craft: Craft, pose: Pose) -> NDArray[np.bool_]:
     """Return which faces (F,) are one-sided and turn their backs to the camera."""
     mesh = craft.mesh
     one_sided = np.array([not material.two_sided for material in craft.materials])
-    sight = mesh.vertices[mesh.faces[:, 0]] + pose.rotation.T @ pose.t
+    sight = mesh.vertices[mesh.faces[:, 0]] - pose.camera_center
     away = np.einsum("ij,ij->i", mesh.face_normals, sight) > 0
     return np.asarray(one_sided[mesh.material] & away)
 

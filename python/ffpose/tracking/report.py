@@ -193,7 +193,7 @@ def _about_target(followed: Sequence[Followed], measured: TrackErrors) -> Figure
     for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
         for poses, color, label in ((true, "#8a8f98", "true"), (tracked, "#d64545", "tracked")):
             if poses:
-                way = np.array([-pose.rotation.T @ pose.t for pose in poses])
+                way = np.array([pose.camera_center for pose in poses])
                 axes.plot(way[:, across], way[:, up], color=color, linewidth=1.2, label=label)
         axes.plot([0], [0], "+", color="#1f2a44")
         axes.set(xlabel=f"{'xyz'[across]}, m", ylabel=f"{'xyz'[up]}, m")
