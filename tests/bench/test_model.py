@@ -98,6 +98,7 @@ def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
     [
         (["speck", "--plot", "absent/a.png"], 1, "expected an existing folder"),
         (["nowhere"], 1, "weights: expected a file or a name"),
+        (["speck", "--compare", "nowhere.onnx"], 1, "compare: expected an exported graph, got now"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(words, code, message, capsys):

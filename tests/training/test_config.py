@@ -101,6 +101,18 @@ def test_flat_names_reach_into_groups():
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
         (lambda: DataConfig("scenes", Path(), seed=10**6), "0 to 999999, .* got 1000000"),
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),
+        (
+            lambda: DataConfig("scenes", Path(), holdout=4),
+            "data.holdout: expected 0 with kind scen",
+        ),
+        (
+            lambda: DataConfig("scenes", Path(), undistort=True),
+            "data.undistort: expected False with kind scenes, got True",
+        ),
+        (
+            lambda: DataConfig("scenes", Path(), white=4095),
+            "data.white: expected None with kind scenes, got 4095",
+        ),
         (lambda: config(accumulate=0), "accumulate: expected 1 or more, got 0"),
         (lambda: config(ema=1.0), "ema: expected 0 <= ema < 1, got 1.0"),
         (lambda: config(autocast="float16"), "expected one of none, bfloat16, auto, got 'float16'"),

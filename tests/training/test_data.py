@@ -297,6 +297,14 @@ def test_keypoints_and_their_weight_belong_together(own, tmp_path):
         replace(config, data=replace(config.data, kind="scenes", holdout=0))
 
 
+@pytest.mark.parametrize("kind", ["csv", "scenes"])
+def test_a_network_that_looks_twice_sees_whole_frames(kind, own, tmp_path):
+    data = DataConfig(kind, own, mode="center_crop", holdout=3 if kind == "csv" else 0)
+    config = second_look_config(own, tmp_path / "run", data=data, object_loss=ObjectLossConfig())
+    with pytest.raises(ValueError, match=r"data\.mode: expected resize, with a .* twice"):
+        build_run(config)
+
+
 def test_a_set_without_coordinates_says_what_does_without(own, tmp_path):
     data = DataConfig("csv", own, holdout=3)
     config = second_look_config(own, tmp_path / "run", data=data, object_loss=ObjectLossConfig())

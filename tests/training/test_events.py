@@ -42,6 +42,13 @@ def test_a_resumed_run_has_each_epoch_once(tmp_path):
     assert scalars(tmp_path) == {"loss": [(1, 1.0), (2, 2.0), (3, 30.0)]}
 
 
+def test_a_run_that_goes_on_may_write_from_then_on(tmp_path):
+    config = replace(train_config(write_set(tmp_path / "set"), tmp_path / "run"), epochs=1)
+    train(config, quiet=True)
+    train(replace(config, epochs=2, tensorboard=True), resume=True, quiet=True)
+    assert {epoch for epoch, _ in scalars(tmp_path / "run")["train_loss"]} == {2}
+
+
 def test_nothing_is_written_unasked(tmp_path):
     with events(tmp_path, 0, wanted=False) as write:
         write({"epoch": 1, "loss": 1.0})

@@ -102,6 +102,13 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
         assert not torch.distributed.is_initialized()
 
 
+def test_several_processes_have_a_device_each(monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    expected = r"device: expected one without a number, .* got 'cuda:1'"
+    with pytest.raises(ValueError, match=expected), joined("cuda:1"):
+        pass
+
+
 def test_processes_of_torchrun_start_no_others(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     with started(2, None):

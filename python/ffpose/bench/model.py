@@ -50,6 +50,9 @@ def run(
 ) -> None:
     """Time a network, and print a table, or all latencies as JSON, on standard output."""
     expect_place(plot)
+    for graph in compare:
+        if not graph.is_file():
+            raise FileNotFoundError(f"compare: expected an exported graph, got {graph}")
     counts = threads or ([1] if quick else sorted({1, min(2, cores()), cores()}))
     cases = product(counts, batches or ([1] if quick else [1, 8]))
     rows, results = [], []

@@ -31,11 +31,12 @@ FREE_FIELDS = {
     "stages",
     "patience",
     "device",
+    "tensorboard",
     "data.root",
     "data.cache",
     "data.workers",
 }
-"""Fields that may change when a run is resumed: where it runs, and for how long."""
+"""Fields that may change when a run is resumed: where it runs, for how long, and what it writes."""
 
 PATHS = {"data.scene", "data.keypoints", "symmetry", "init", "backbone_weights"}
 """Fields that may be paths, of which another spelling is the same, or that of a moved file."""

@@ -155,6 +155,9 @@ class DataConfig:
         if self.kind == "scenes":
             sets = len(self.scenes)
             expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
+            for name in ("holdout", "undistort", "white"):
+                got, default = getattr(self, name), type(self).__dataclass_fields__[name].default
+                expect(got == default, f"data.{name}", f"{default} with kind scenes", got)
         least = {"workers": 0, "validation": 1, "calibration": 2, "empty": 0, "decoys": 0}
         expect_least(self, "data.", **least, **dict.fromkeys(VARIANTS, 0))
         near, far = self.distance

@@ -70,10 +70,10 @@ def open_training_data(
         ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: An image or a label cannot be used.
     """
-    if config.kind == "scenes":
-        return _scenes(config, model, preprocessing, quiet)
     fits = config.mode == "resize" or not looks_twice(model)
     expect(fits, "data.mode", "resize, with a network that looks twice", config.mode)
+    if config.kind == "scenes":
+        return _scenes(config, model, preprocessing, quiet)
     train_set, val_set = _open_splits(config, preprocessing, calibrated=looks_twice(model))
     camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
     if not looks_twice(model):

@@ -151,7 +151,9 @@ def joined(device: str) -> Iterator[Processes]:
     if world == 1 or distributed.is_initialized():
         yield ALONE if world == 1 else current()
         return
-    gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
+    expected = "one without a number, as each of several processes has its own"
+    expect(":" not in device, "device", expected, device)
+    gpu = device == "cuda" or (device == "auto" and torch.cuda.is_available())
     if gpu:
         torch.cuda.set_device(_own_gpu())
     distributed.init_process_group(
