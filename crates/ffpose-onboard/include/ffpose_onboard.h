@@ -39,7 +39,7 @@ typedef enum {
 
 typedef struct ffpose ffpose;
 
-/* Paths; null, or empty, where not needed. Zero everything first: a later version, for which programs are compiled anew, may add fields. */
+/* Paths; null where not needed. Zero everything first: a later version, for which programs are compiled anew, may add fields. */
 typedef struct {
   const char *model;     /* X.onnx of `ffpose export`; X.track.onnx beside it is opened too, and must be there if X.onnx was
                             exported with --track */

@@ -349,7 +349,7 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), F
     Ok((setup, track))
 }
 
-/// Returns a path; None of an empty one too.
+/// Returns a path; None of null.
 ///
 /// # Safety
 /// `text` is null or ended by a zero.
@@ -361,7 +361,12 @@ unsafe fn path_of(name: &'static str, text: *const c_char) -> Result<Option<Path
     let bytes = unsafe { CStr::from_ptr(text) };
     let text =
         bytes.to_str().map_err(|_| Error::new(format!("{name}: expected UTF-8, got {bytes:?}")))?;
-    Ok((!text.is_empty()).then(|| text.into()))
+    if text.is_empty() {
+        return Err(
+            Error::new(format!("{name}: expected a text or null, got an empty text")).into()
+        );
+    }
+    Ok(Some(text.into()))
 }
 
 /// Copies an image, its size checked first.

@@ -161,7 +161,7 @@ impl Estimator {
     fn run(&mut self, input: &[f32], look: Look) -> Result<Option<Outputs>> {
         let shape = [1, 3, self.metadata.preprocessing.height, self.metadata.preprocessing.width];
         let tensor = TensorRef::from_array_view((shape, input)).map_err(|error| refused(&error))?;
-        let (watch, deadline) = (self.watch.as_ref(), look.deadline);
+        let (watch, deadline) = (self.watch.as_mut(), look.deadline);
         let Some((session, at)) = self.near.as_mut().zip(look.at) else {
             let inputs = ort::inputs![INPUT => tensor];
             return run_until(&mut self.session, watch, deadline, inputs.into());
@@ -222,7 +222,7 @@ fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
 /// Runs a session, until a deadline if there is one: None where it has come before the outputs, when the run is terminated.
 fn run_until(
     session: &mut Session,
-    watch: Option<&Watch>,
+    watch: Option<&mut Watch>,
     deadline: Deadline,
     inputs: SessionInputs<'_, '_>,
 ) -> Result<Option<Outputs>> {
@@ -237,7 +237,7 @@ fn run_until(
     let ended = Arc::clone(&options);
     // A run that cannot be terminated ends by itself.
     let terminate = move || drop(ended.terminate());
-    let outputs = watch.over(end, terminate, || session.run_with_options(inputs, &*options));
+    let outputs = watch.over(end, terminate, || session.run_with_options(inputs, &*options))?;
     let outputs = outputs.map_err(|error| refused(&error));
     deadline.keeps(outputs.and_then(|outputs| read_outputs(&outputs)))
 }

@@ -19,6 +19,9 @@ use crate::pose::{Meaning, Outputs, document};
 /// A number of settings that JSON has no other word for.
 const INFINITE: &str = "inf";
 
+/// Links one after the other that are followed, as Linux does.
+const MOST_LINKS: usize = 40;
+
 /// The line that forgets a track.
 const RESET: &str = "reset";
 
@@ -147,8 +150,8 @@ impl Track {
     /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one, once this has
     /// returned the new one where a folder can be synced. A link stays, and what it points to is written.
     pub(crate) fn save(&self, path: &Path) -> Result<()> {
-        let path = &resolved(path);
         let refused = |error| Error::new(format!("cannot be written: {error}")).of(path.display());
+        let path = &resolved(path);
         let mut name = OsString::from(".");
         name.push(path.file_name().unwrap_or_default());
         name.push(".ffpose-new"); // no other's, whatever their states are called
@@ -187,10 +190,16 @@ impl Track {
     }
 }
 
-/// The file that a path is of, also where that is a link to one that is not there yet.
+/// The file that a path links to, which need not be there yet.
 fn resolved(path: &Path) -> PathBuf {
-    let linked = || fs::read_link(path).map(|to| path.parent().unwrap_or(Path::new("")).join(to));
-    fs::canonicalize(path).or_else(|_| linked()).unwrap_or_else(|_| path.into())
+    let mut path = path.to_path_buf();
+    for _ in 0..MOST_LINKS {
+        match fs::read_link(&path) {
+            Ok(to) => path = path.parent().unwrap_or(Path::new("")).join(to),
+            Err(_) => break, // it is no link
+        }
+    }
+    path
 }
 
 /// The settings of a track: the usual ones, what the model knows of its errors, and those of a file.
@@ -333,7 +342,8 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("ffpose-track-link-{}", std::process::id()));
         fs::create_dir_all(folder.join("data")).unwrap();
         let (link, state) = (folder.join("link"), folder.join("data/track.state"));
-        std::os::unix::fs::symlink("data/track.state", &link).unwrap();
+        std::os::unix::fs::symlink("data/next", &link).unwrap();
+        std::os::unix::fs::symlink("track.state", folder.join("data/next")).unwrap();
         for _ in 0..2 {
             track().save(&link).unwrap(); // to a file that is not there yet, and to one that is
             assert!(link.is_symlink() && !state.is_symlink());

@@ -88,6 +88,9 @@ impl Default for Parameters {
 /// How far from one the norm of the zenith may be, and from zero its cosine with the orbit's normal.
 const DIRECTION_TOLERANCE: f64 = 1e-3;
 
+/// An orbit slower than this, rad/s, is none: its square is nothing, and so would be its direction.
+const LEAST_RATE: f64 = 1e-100;
+
 /// By what share of its trace an inertia may be rounded.
 const INERTIA_TOLERANCE: f64 = 1e-6;
 
@@ -197,10 +200,15 @@ impl Parameters {
         self.inertia[..3] != [self.inertia[0]; 3] || self.inertia[3..] != [0.0; 3]
     }
 
-    /// The inertia as a matrix, whose unit is the largest number of it.
-    pub(crate) fn inertia(&self) -> Matrix3<f64> {
+    /// The largest number of the inertia, 1 where all are zero.
+    fn inertia_unit(&self) -> f64 {
         let largest = self.inertia.iter().fold(0.0, |most, part| fabs(*part).max(most));
-        let unit = if largest > 0.0 { largest } else { 1.0 };
+        if largest > 0.0 { largest } else { 1.0 }
+    }
+
+    /// The inertia as a matrix, in units of its largest number.
+    pub(crate) fn inertia(&self) -> Matrix3<f64> {
+        let unit = self.inertia_unit();
         let [xx, yy, zz, xy, xz, yz] = self.inertia.map(|part| part / unit);
         Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
     }
@@ -219,6 +227,7 @@ impl Parameters {
                     "inertia",
                     "that of a body: three positive moments, none larger than the others' sum",
                 );
+                let got = got * self.inertia_unit();
                 return Err(Error::Parameter { name, expected, got });
             }
         }
@@ -227,7 +236,7 @@ impl Parameters {
 
     /// Whether position and velocity move as in an orbit.
     pub(crate) fn has_orbit(&self) -> bool {
-        self.orbital_rate().norm() > 0.0 // of a rate too small to count none
+        self.orbital_rate().norm() > LEAST_RATE
     }
 
     /// The camera's angular velocity in its orbit, rad/s along its axes; zero without one.
