@@ -249,7 +249,7 @@ def chosen_scene(options: Namespace, name: str) -> Scene:
     from ffpose.render import Randomization, find_scene
 
     limits = options.attitude_range
-    scene = find_scene(name, limits and tuple(limits))
+    scene = find_scene(name, None if limits is None else tuple(limits))
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     return replace(
         scene,
@@ -283,7 +283,7 @@ def render_set(options: Namespace) -> None:
         options.count,
         options.seed,
         start=options.start,
-        size=options.size and width_and_height(options.size),
+        size=None if options.size is None else width_and_height(options.size),
         workers=options.workers,
         labels=[*options.labels, *(LAYERS if options.layers else ())],
         progress=True,
@@ -302,7 +302,7 @@ def render_motion(options: Namespace) -> None:
     for name in ("count", "start", "labels", "layers", "motion"):
         if options[name]:
             raise ValueError(f"{name}: expected for a scene's images, got it for a motion's frames")
-    size = options.size and width_and_height(options.size)
+    size = None if options.size is None else width_and_height(options.size)
     if options.trajectory is not None:
         for name in ("seconds", "rate"):
             if options[name] is not None:

@@ -22,8 +22,9 @@ class DataError(ValueError):
     """The contents of a file are invalid; the message begins with ``file:line:``.
 
     Attributes:
-        file: The invalid file; None only where torch reraises the error of a DataLoader's worker
-            with the worker's traceback as the message (`without_traceback` extracts the original).
+        file: The invalid file; None until who opened it adds it, and where torch reraises the error
+            of a DataLoader's worker with the worker's traceback as the message
+            (`without_traceback` extracts the original).
         line: The line in the file, counted from one; None for the file as a whole.
     """
 

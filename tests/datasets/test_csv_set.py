@@ -51,6 +51,12 @@ def test_hidden_files_folders_and_keypoints_are_no_splits(root):
     assert list_splits("csv", root) == ["train", "flight 7"]
 
 
+def test_splits_are_by_name_and_those_of_a_training_first(root):
+    for name in ("sun-low", "sun", "sun 2", "val"):
+        (root / f"{name}.csv").write_text("image\n")
+    assert list_splits("csv", root) == ["train", "val", "flight 7", "sun", "sun 2", "sun-low"]
+
+
 def test_any_file_is_a_split_and_labels_may_be_missing(root):
     (root / "conditions.csv").write_text("not a split")
     assert list_splits("csv", root) == ["train", "flight 7"]
@@ -117,7 +123,7 @@ def test_a_missing_camera_is_named(root):
 @pytest.mark.parametrize("distortion", [[0.1], None, [0, 0, 0, 0, "x"], {"k1": 0.1}])
 def test_bad_distortion_is_named(root, distortion):
     (root / "camera.json").write_text(json.dumps(CAMERA | {"distortion": distortion}))
-    with pytest.raises(DataError, match=r"camera\.json:1: distortion: expected"):
+    with pytest.raises(DataError, match=r"camera\.json: distortion: expected"):
         read(root)
 
 

@@ -88,7 +88,7 @@ def test_a_camera_with_distortion_cannot_be_turned(root):
 def test_a_bad_camera_is_named(root, changes, words):
     values = {key: value for key, value in (CAMERA | changes).items() if value is not None}
     (root / "camera.json").write_text(json.dumps(values))
-    with pytest.raises(DataError, match=rf"camera\.json:1: .*{words}"):
+    with pytest.raises(DataError, match=rf"camera\.json: .*{words}"):
         read(root)
 
 

@@ -200,7 +200,7 @@ CAMERA = {"width": 64, "height": 48, "fx": 32.0, "fy": 32.0, "cx": 32.0, "cy": 2
     ("text", "words"),
     [
         ("{", r"camera\.json:1: not JSON"),
-        ("[]", r"camera\.json:1: expected an object, got \[\]"),
+        ("[]", r"camera\.json: expected the keys width, .*; got \[\]"),
         (json.dumps(CAMERA | {"k1": 0.1}), "expected the keys .*, and distortion .*; got 'k1' too"),
         (json.dumps(CAMERA).replace("cy", "Cy"), "expected the keys .*; got none of the name cy"),
         (json.dumps(CAMERA)[:-1] + ', "fx": 9}', "expected each key once, got 'fx' twice"),

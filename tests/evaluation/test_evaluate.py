@@ -259,7 +259,7 @@ def test_a_training_split_that_cannot_be_read_is_told(weights, image_set, tmp_pa
     labels.write_text("\n".join([header, "nan," + first.partition(",")[2], *others]))
     assert evaluate(weights, "urso", root).baseline_of == "the images themselves"
     (told,) = caplog.messages
-    assert told.startswith("the baseline is not of the split train, as it cannot be read: ")
+    assert told.startswith("the baseline is not of the split train, which gives no mean pose: ")
     assert f"{labels}:2: " in told
     caplog.clear()
     (root / "train_images.csv").unlink()

@@ -1,5 +1,7 @@
 """What an exported graph says of itself, against onnx's own reader; what is altered is refused."""
 
+import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -42,6 +44,11 @@ def graph_bytes(entries):
 def test_entries_say_how_images_were_decoded(undistorted, white):
     metadata = replace(METADATA, undistorted=undistorted, white=white)
     assert ModelMetadata.from_entries(metadata.to_entries()) == metadata
+
+
+def test_infinite_settings_of_a_track_are_a_word():
+    entries = replace(METADATA, tracking={"gate": math.inf, "tails": 3.0}).to_entries()
+    assert json.loads(entries["tracking"]) == {"gate": "inf", "tails": 3.0}
 
 
 @pytest.mark.parametrize("locates", ["object", "camera"])

@@ -143,7 +143,7 @@ def test_gradients_of_half_precision_are_rounded_once(q, dtype):
     for recorded in (False, True):
         y = normalize_quaternion(q)
         (got,) = torch.autograd.grad(y, q, grad, create_graph=recorded)
-        torch.testing.assert_close(got, expected.to(dtype), rtol=1e-2, atol=1e-3)
+        torch.testing.assert_close(got, expected.to(dtype), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("function", [normalize_quaternion, forward_op])

@@ -1,5 +1,6 @@
 """Several processes that train together do what one does on the same batches."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -104,7 +105,9 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
 
 def test_several_processes_have_a_device_each(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
-    expected = r"device: expected one without a number, .* got 'cuda:1'"
+    monkeypatch.setenv("LOCAL_RANK", "0")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    expected = r"device: expected cuda:0 or cuda, as each process has a GPU of .* got 'cuda:1'"
     with pytest.raises(ValueError, match=expected), joined("cuda:1"):
         pass
 
@@ -112,7 +115,7 @@ def test_several_processes_have_a_device_each(monkeypatch):
 def test_processes_of_torchrun_start_no_others(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     with started(2, None):
-        pass
+        assert multiprocessing.active_children() == []
     assert [count_processes(asked) for asked in (1, 2)] == [2, 2]
     with pytest.raises(ValueError, match=r"processes: expected 1 or 2 under torchrun, .* got 3"):
         count_processes(3)

@@ -20,15 +20,15 @@ class Entry(NamedTuple):
     Attributes:
         values: The values by name: strings in a table, anything in JSON.
         file: The file.
-        line: The line that it begins on, counted from one.
+        line: The line that it begins on, counted from one; None for the file as a whole.
     """
 
     values: Mapping[str, Any]
     file: Path
-    line: int
+    line: int | None
 
     def error(self, message: str) -> DataError:
-        """Return an error that names file and line."""
+        """Return an error that names the file, and the line if it is known."""
         return DataError(message, self.file, self.line)
 
     def text(self, key: str) -> str:
@@ -90,9 +90,9 @@ class Entry(NamedTuple):
             raise self.error(str(error)) from error
 
 
-def read_object(path: Path) -> Entry:
-    """Read a JSON file that holds one object, or raise a DataError."""
+def read_object(path: Path, expected: str = "expected an object of keys and values") -> Entry:
+    """Read a JSON file that holds one object, or raise a DataError that says what is expected."""
     values = read_json(path)
     if not isinstance(values, dict):
-        raise DataError(f"expected an object, got {shortened(values)}", path, 1)
-    return Entry(values, path, 1)
+        raise DataError(f"{expected}; got {shortened(values)}", path)
+    return Entry(values, path, None)

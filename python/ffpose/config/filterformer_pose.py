@@ -82,7 +82,7 @@ class FilterformerPoseConfig(FrameConfig):
         expect(0 <= self.dropout < 1, "dropout", "0 <= dropout < 1", self.dropout)
         expect(self.filter_std >= 0, "filter_std", "at least 0", self.filter_std)
         width = self.bins_width_deg
-        expect(0 < width < math.inf, "bins_width_deg", "above 0", width)
+        expect(0 < width < math.inf, "bins_width_deg", "a finite number above 0", width)
 
     @property
     def coarsest_reduction(self) -> int:

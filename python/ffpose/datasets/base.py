@@ -37,6 +37,8 @@ class Reader(Protocol):
     def read(self, root: Path, split: str) -> list[Record]:
         """Return the images of a split, with converted labels and their cameras.
 
+        Where the labels are poses of the camera each record says so (`Record.target`).
+
         Raises:
             ValueError: ``split`` is not in such sets.
             FileNotFoundError: The folder, or a file that lists the split, does not exist.

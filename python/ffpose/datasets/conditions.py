@@ -68,6 +68,5 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
     if missing := [name for name in names if name not in rows]:
         raise DataError(f"expected a row for {missing[0]}, got none", path)
     columns = np.array([rows[name] for name in names]).reshape(-1, len(LIMITS)).T
-    return Conditions(
-        *(v.astype(bool) if k in FLAGS else v for k, v in zip(LIMITS, columns, strict=True))
-    )
+    values = zip(LIMITS, columns, strict=True)
+    return Conditions(**{k: v.astype(bool) if k in FLAGS else v for k, v in values})

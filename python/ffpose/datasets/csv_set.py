@@ -46,7 +46,7 @@ def splits(root: Path) -> list[str]:
     """Return the splits of the set: train, val, test, then others by name."""
     expect_set(root, "CSV")
     tables = (path for path in find_tables(root) if path.name != CONDITIONS)
-    found = [path.stem for path in tables if not _has_keypoints(path)]
+    found = sorted(path.stem for path in tables if not _has_keypoints(path))
     if not found:
         raise FileNotFoundError(f"CSV set: expected a file such as train.csv in {root}, got none")
     return sorted(found, key=lambda split: FIRST.index(split) if split in FIRST else len(FIRST))

@@ -202,8 +202,10 @@ def _origin_share(dataset: PoseDataset) -> float:
 
 def _shared_images(splits: Iterable[Sequence[Record]]) -> list[str]:
     """Return the images in more than one split, which would bias an evaluation."""
-    counts = Counter((record.image, record.name) for records in splits for record in records)
-    return sorted(name for (_, name), count in counts.items() if count > 1)
+    there = [record for records in splits for record in records]
+    names = {record.image: record.name for record in there}
+    counts = Counter(record.image for record in there)
+    return sorted(names[image] for image, count in counts.items() if count > 1)
 
 
 def _write_histograms(path: Path, unit: str, splits: Mapping[str, dict[str, FloatArray]]) -> None:

@@ -20,7 +20,7 @@ class Names:
     """Names of images or points, each there once."""
 
     def __init__(self) -> None:
-        self._first_line: dict[str, int] = {}
+        self._first_line: dict[str, int | None] = {}
 
     def once(self, entry: Entry, name: str) -> str:
         """Return a name, or raise a DataError if it was there before."""

@@ -55,7 +55,7 @@ class Record:
         camera: Camera of the decoded image, which must have its size.
         pose: The label, in the conventions of `ffpose.geometry`; None in a split without labels.
         source: The file that lists the image.
-        line: The line in that file, counted from one.
+        line: The line in that file, counted from one; None where it is not told.
         raw_quaternion: The quaternion ``(w, x, y, z)`` as in the file, before the reader normalizes
             it and `Pose` chooses its sign; None for a label that comes from no quaternion.
         lens: Camera of the file, where decoding undistorts it; None where it does not.
@@ -69,7 +69,7 @@ class Record:
     camera: Camera
     pose: Pose | None
     source: Path
-    line: int
+    line: int | None
     raw_quaternion: tuple[float, float, float, float] | None = None
     lens: DistortedCamera | None = None
     white: float | str | None = None

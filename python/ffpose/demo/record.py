@@ -51,12 +51,12 @@ class DemoRecord:
                         f"{FILE_NAME}; {REMEDY}"
                     )
             return cls(wanted)
-        found = read_json(path)
         try:
-            record = cls(**found)
+            record = cls(**read_json(path))
             there = dict(record.settings)
         except (TypeError, ValueError) as error:
-            raise DataError(f"expected the record of a demo: {error}; {REMEDY}", path) from error
+            text = error.message if isinstance(error, DataError) else str(error)
+            raise DataError(f"expected the record of a demo: {text}; {REMEDY}", path) from error
         for name, value in wanted.items():
             if there.get(name) != value:
                 raise ValueError(

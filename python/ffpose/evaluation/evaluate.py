@@ -149,7 +149,7 @@ class Evaluation:
     @cached_property
     def alternative_errors_deg(self) -> FloatArray | None:
         """Rotation errors ``(N,)`` of the second most likely attitudes; None where none are."""
-        if self.alternative is None:
+        if self.alternative is None or self.probabilities is None:
             return None
         truth = self.symmetry.nearest(self.alternative, self.truth[:, 3:])
         return np.asarray(arrays.rotation_error(self.alternative, truth))
@@ -380,7 +380,7 @@ def _baseline(
             pass  # its labels are elsewhere
         except DataError as error:
             logger.warning(
-                "the baseline is not of the split train, as it cannot be read: %s", error
+                "the baseline is not of the split train, which gives no mean pose: %s", error
             )
     if isinstance(metadata, WeightsMetadata) and metadata.mean_pose is not None:
         return metadata.mean_pose, "the weights' training"

@@ -67,9 +67,9 @@ class Camera:
             DataError: The file is not JSON, lacks a key or has another or one twice, or the values
                 are not a valid camera, among them a width or height of 2⁵³ or more.
         """
-        entry = read_object(Path(path))
         names = [field.name for field in fields(Camera)]
         expected = f"expected the keys {', '.join(names)}, and distortion of a lens that has it"
+        entry = read_object(Path(path), expected)
         if missing := [name for name in names if name not in entry.values]:
             raise entry.error(f"{expected}; got none of the name {', '.join(missing)}")
         if unknown := [name for name in entry.values if name not in (*names, "distortion")]:

@@ -75,11 +75,16 @@ def image_files(folder: Path, name: str) -> list[Path]:
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
-    shown = (path for path in folder.iterdir() if not (path.is_dir() or path.name.startswith(".")))
-    images = sorted(path for path in shown if path.suffix.lower() in SUFFIXES)
+    images = sorted(path for path in folder.iterdir() if is_image(path))
     if not images:
         raise FileNotFoundError(f"{name}: expected PNG, JPEG or PGM files in {folder}, got none")
     return images
+
+
+def is_image(path: Path) -> bool:
+    """Return whether a path is a file with the suffix of an image, and not hidden."""
+    shown = path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    return shown and not path.is_dir()
 
 
 def find_images(names: Iterable[str | Path]) -> list[Path]:
@@ -106,11 +111,12 @@ def find_images(names: Iterable[str | Path]) -> list[Path]:
 
 
 def _matches(pattern: Path) -> list[Path]:
-    """Return the sorted files that match a pattern."""
+    """Return the sorted files that match a pattern; hidden ones do not."""
     parts = pattern.parts
     first = next(place for place, part in enumerate(parts) if PATTERN.search(part))
     folder, rest = Path(*parts[:first]), Path(*parts[first:])
-    matches = sorted(path for path in folder.glob(str(rest)) if path.is_file())
+    there = folder.glob(str(rest))
+    matches = sorted(path for path in there if path.is_file() and not path.name.startswith("."))
     if not matches:
         raise FileNotFoundError(f"images: expected files that match {pattern}, got none")
     return matches

@@ -7,7 +7,7 @@ each axis: an antialiased resize of a crop. The pose in the camera frame does no
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +63,8 @@ def reproject(
     """
     pinhole, size = not isinstance(source, DistortedCamera), (source.width, source.height)
     expect(pinhole, "source", "a camera without distortion", source)
-    expect(image.size == size, "image", f"{size}, the size of its camera", image.size)
+    expected = f"(width, height) {size}, as its camera has"
+    expect(image.size == size, "image", expected, image.size)
     support = SUPPORT[interpolation]
     across = _axis(source.width, source.fx, source.cx, view.width, view.fx, view.cx, support)
     down = _axis(source.height, source.fy, source.cy, view.height, view.fy, view.cy, support)
@@ -148,9 +149,10 @@ class Reprojection(Preprocessing):
         """Reproject an RGB image to the view ``(height, width, 3)``.
 
         Raises:
-            ValueError: As `expect_aspect`.
+            ValueError: The aspect ratio of the image differs from its camera's.
         """
-        expect_aspect(self.source, *image.size)
+        size, expected = image.size, f"the aspect ratio of its camera, {self.source}"
+        expect(self.source.has_aspect(*size), "image", expected, f"{size[0]}x{size[1]}")
         source = self.source.resized(*image.size)
         if isinstance(source, DistortedCamera):
             image, source = undistort(image, source), source.pinhole
@@ -222,8 +224,8 @@ def agree(camera: Camera, other: Camera) -> bool:
 
     Distortion is none of them: images are undistorted, or not, as in training.
     """
-    pinholes = (astuple(each)[: len(fields(Camera))] for each in (camera, other))
-    return all(math.isclose(*pair, rel_tol=TOLERANCE) for pair in zip(*pinholes, strict=True))
+    pairs = ((getattr(camera, each.name), getattr(other, each.name)) for each in fields(Camera))
+    return all(math.isclose(one, two, rel_tol=TOLERANCE) for one, two in pairs)
 
 
 def lens_of(camera: Camera) -> tuple[float, ...] | None:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 import torch
@@ -51,8 +50,10 @@ def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
     A point p of the camera frame becomes ``rotation @ p``. The angles are in degrees: a positive
     ``pan`` moves the scene to the right, ``tilt`` up, and ``roll`` turns right to down.
     """
-    about_x, about_y, about_z = np.diag(np.radians([tilt, pan, roll]))
-    return rotation_matrix(reduce(multiply, map(from_rotation_vector, (about_z, about_x, about_y))))
+    x, y, z = np.eye(3)
+    pan, tilt, roll = np.radians([pan, tilt, roll])
+    about_z_x = multiply(from_rotation_vector(roll * z), from_rotation_vector(tilt * x))
+    return rotation_matrix(multiply(about_z_x, from_rotation_vector(pan * y)))
 
 
 def crop_turn(crop: Camera, view: Camera) -> FloatArray:

@@ -65,8 +65,8 @@ def load(
         An estimator: call it on an image or a list of them (`PoseEstimator.__call__`).
 
     Raises:
-        FileNotFoundError: There is no such file or name, or the custom operator's library is
-            missing.
+        FileNotFoundError: There is no such file or name, or the custom operator's library, or
+            ``X.track.onnx`` as above, is missing.
         MissingExtraError: The backend is not installed.
         ffpose.DataError: The file was not written by ffpose, was altered, or is newer than this
             version.
@@ -106,8 +106,10 @@ def load(
         if track and beside.is_file():
             near, _ = open_one(beside, metadata)
         elif track and metadata.track_sha256 is not None:
-            expected = f"a track's looks that {source.path} was exported with"
-            raise FileNotFoundError(f"model: expected {beside}, {expected}, got none")
+            raise FileNotFoundError(
+                f"network: expected {beside}, a track's looks that {source.path} was exported with,"
+                " got none: copy it too, export without --track, or track with --whole"
+            )
     else:
         from ffpose.inference.in_torch import TorchSession
         from ffpose.models import PolarPose, open_weights

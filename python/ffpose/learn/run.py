@@ -142,8 +142,9 @@ class LearnConfig:
                 "camera: expected one without distortion, got a distorted one; leave out the key"
                 " distortion here, and give the whole file to ffpose predict --camera"
             )
-        near, far = self.distance_m or (1.0, 2.0)
-        expect(0 < near < far, "distance", "0 < near < far", self.distance_m)
+        if self.distance_m is not None:
+            near, far = self.distance_m
+            expect(0 < near < far, "distance", "0 < near < far", self.distance_m)
         expect(self.processes >= 0, "processes", "0 or more", self.processes)
         expect(self.test_images >= 1, "test_images", "1 or more", self.test_images)
         size = test_size(self.camera)

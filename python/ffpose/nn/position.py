@@ -38,7 +38,7 @@ class PositionCode(nn.Module):
         kinds = get_args(PositionKind)
         expect(kind in kinds, "kind", f"one of {kinds}", kind)
         divisor = 2 if kind == "learned" else 4
-        expect(dim % divisor == 0, f"{kind} dim", f"a multiple of {divisor}", dim)
+        expect(dim % divisor == 0, "dim", f"a multiple of {divisor} for the {kind} code", dim)
         self.grid, self.dim, self.kind = grid, dim, kind
         for name, length in zip(("rows", "columns"), grid, strict=True):
             if kind == "learned":

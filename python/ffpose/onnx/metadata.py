@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -84,6 +85,8 @@ class ModelMetadata:
         if self.distortion is not None:
             decoding["distortion"] = self.distortion
         float32 = self.precision == "float32"
+        # JSON has no infinity: a word stands for it.
+        tracking = {k: "inf" if v == math.inf else v for k, v in (self.tracking or {}).items()}
         entries = {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,
@@ -97,12 +100,12 @@ class ModelMetadata:
             "locates": None if self.locates == "object" else self.locates,
             "takes_point": "true" if self.takes_point else None,
             "track_sha256": self.track_sha256,
-            "tracking": _json(self.tracking) if self.tracking else None,
+            "tracking": _json(tracking) if tracking else None,
             "symmetry": _json(self.symmetry.to_json()) if self.symmetry.axes else None,
             "decoding": _json(decoding) if any(decoding.values()) else None,
             "preprocessing": _json(self.preprocessing.to_dict()),
-            "camera": _json(self.camera and asdict(self.camera)),
-            "view_camera": _json(view and asdict(view)),
+            "camera": _json(None if self.camera is None else asdict(self.camera)),
+            "view_camera": _json(None if view is None else asdict(view)),
             "in_view_threshold": _json(self.in_view_threshold),
             "degrees_of_freedom": _json(self.config.degrees_of_freedom),
         }

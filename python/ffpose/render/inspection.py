@@ -26,9 +26,11 @@ from ffpose.render.symmetry import find_symmetries
 TILE, COLUMNS, CAPTION = 320, 4, 22
 """Side of a view in pixels, views in a row, and height of the text below each."""
 
-DISK, AWAY = 0.46, 8.0
-"""Radius of the bounding sphere in a view, in its sides, and distance of the camera in such radii:
-nearly a parallel projection."""
+DISK = 0.46
+"""Radius of the bounding sphere in a view, in its sides."""
+
+AWAY = 8.0
+"""Distance of the camera in radii of the bounding sphere: nearly a parallel projection."""
 
 SMALLEST_M, LARGEST_M = 0.05, 150.0
 """Diameters of spacecraft, from a picosatellite's to a station's."""
@@ -45,8 +47,11 @@ LEAST_SEEN = 0.01
 OPAQUE = 0.95
 """Alpha from which a material counts as solid."""
 
-GRAY, WHITE = 0.05, 1.2
-"""Light of the background, and light that is white in the views."""
+GRAY = 0.05
+"""Light of the background."""
+
+WHITE = 1.2
+"""Light that is white in the views."""
 
 DIRECTIONS = {
     "+x": (1, 0, 0),

@@ -156,9 +156,10 @@ def write_layers(
 
     pictures: dict[str, NDArray[Any]] = {
         "mask": layers.mask.astype(np.uint8) * 255,
-        "depth": np.round(layers.depth / depth_step_m).astype(np.uint16),
         "coordinates": layers.coordinates,
     }
+    if "depth" in labels:
+        pictures["depth"] = np.round(layers.depth / depth_step_m).astype(np.uint16)
     for name, file in zip(labels, label_files(index, labels), strict=True):
         if name == "keypoints":
             rows = [(p.name, p.u, p.v, p.depth, int(p.visible)) for p in layers.keypoints]

@@ -153,8 +153,8 @@ def _shown(
 
 def _render(scene: dict[str, Any], seed: int, integrator: dict[str, Any]) -> Floats:
     """Render radiance and cover ``(rows, columns, 4)``."""
-    loaded, paths = load({"type": "scene", **scene}), load({**integrator, "block_size": BLOCK})
-    image = mitsuba().render(loaded, integrator=paths, spp=SAMPLES // SCALE**2, seed=seed)
+    loaded, paths = _load({"type": "scene", **scene}), _load({**integrator, "block_size": BLOCK})
+    image = _mitsuba().render(loaded, integrator=paths, spp=SAMPLES // SCALE**2, seed=seed)
     return np.array(image, dtype=np.float32)
 
 
@@ -172,13 +172,13 @@ def _sensor(pose: Pose, focal: float, half: tuple[int, int], crop: list[tuple[in
     place[:3, :3] = pose.rotation.T @ np.diag([-1.0, -1.0, 1.0])
     place[:3, 3] = pose.camera_center
     (left, right), (top, bottom) = crop
-    return load(
+    return _load(
         {
             "type": "perspective",
             "fov": math.degrees(2 * math.atan(half[0] / focal)),
             "fov_axis": "x",
             "near_clip": 0.05,
-            "to_world": mitsuba().ScalarTransform4f(place),
+            "to_world": _mitsuba().ScalarTransform4f(place),
             "film": {
                 "type": "hdrfilm",
                 "pixel_format": "rgba",
@@ -210,7 +210,7 @@ def _lights(pose: Pose, light: Light) -> Iterator[dict[str, Any]]:
             "intensity": {"type": "rgb", "value": math.pi * light.lamp},
         }
     if light.earth > 0:
-        yield {"type": "envmap", "bitmap": mitsuba().Bitmap(_sky(light))}
+        yield {"type": "envmap", "bitmap": _mitsuba().Bitmap(_sky(light))}
 
 
 def _sky(light: Light) -> Floats:
@@ -236,17 +236,17 @@ def _shapes(craft: Craft, pose: Pose, through: bool) -> tuple[dict[str, Any], di
     lit: dict[str, Any] = {}
     glowing: dict[str, Any] = {}
     if through:
-        nothing = {"bsdf": load({"type": "null"})}
-        lit["backs"] = glowing["backs"] = triangles(corners[backs], nothing)
-    for number, look in enumerate(looks_of(craft)):
+        nothing = {"bsdf": _load({"type": "null"})}
+        lit["backs"] = glowing["backs"] = _triangles(corners[backs], nothing)
+    for number, look in enumerate(_looks_of(craft)):
         faces = look.faces[~backs[look.faces]] if through else look.faces
         if faces.size == 0:
             continue
-        lit[f"lit{number}"] = shape_of(craft, faces, corners, {"bsdf": look.lit})
+        lit[f"lit{number}"] = _shape_of(craft, faces, corners, {"bsdf": look.lit})
         parts = {"bsdf": look.dark}
         if look.radiance is not None:
-            parts["emitter"] = load({"type": "area", "radiance": look.radiance})
-        glowing[f"glowing{number}"] = shape_of(craft, faces, corners, parts)
+            parts["emitter"] = _load({"type": "area", "radiance": look.radiance})
+        glowing[f"glowing{number}"] = _shape_of(craft, faces, corners, parts)
     return lit, glowing
 
 
@@ -278,7 +278,7 @@ def _tracer(craft: Craft) -> Tracer:
     return Tracer(craft.mesh)
 
 
-def mitsuba() -> Any:
+def _mitsuba() -> Any:
     """Return the module, or raise a MissingExtraError."""
     mi: Any = require("mitsuba", "mitsuba")
     if mi.variant() != VARIANT:
@@ -286,9 +286,9 @@ def mitsuba() -> Any:
     return mi
 
 
-def load(description: dict[str, Any]) -> Any:
+def _load(description: dict[str, Any]) -> Any:
     """Return what Mitsuba makes of a description."""
-    return mitsuba().load_dict(description)
+    return _mitsuba().load_dict(description)
 
 
 class Look(NamedTuple):
@@ -308,7 +308,7 @@ class Look(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def looks_of(craft: Craft) -> list[Look]:
+def _looks_of(craft: Craft) -> list[Look]:
     """Return the looks of a spacecraft's faces."""
     mesh, looks = craft.mesh, []
     for number, mirrored in itertools.product(range(len(craft.materials)), (False, True)):
@@ -322,10 +322,10 @@ def looks_of(craft: Craft) -> list[Look]:
             radiance = {"type": "rgb", "value": list(material.emission)}
             if material.emission_map is not None:
                 glow = _texels(material.emission_map)[..., :3] * np.array(material.emission)
-                radiance = load(_bitmap(glow, material.emission_map.image.wrap))
+                radiance = _load(_bitmap(glow, material.emission_map.image.wrap))
         black = {"type": "diffuse", "reflectance": 0.0}
         lit = {"type": "twosided", "bsdf": _reflecting(material, colors, mirrored)}
-        lit, dark = (load(_masked(material, colors, each)) for each in (lit, black))
+        lit, dark = (_load(_masked(material, colors, each)) for each in (lit, black))
         looks.append(Look(faces, lit, dark, radiance))
     return looks
 
@@ -340,7 +340,7 @@ def _mirrored(mesh: Mesh, material: Material) -> NDArray[np.bool_]:
     return np.asarray(du1 * dv2 > du2 * dv1)
 
 
-def shape_of(
+def _shape_of(
     craft: Craft, faces: NDArray[np.intp], corners: FloatArray, parts: dict[str, Any]
 ) -> Any:
     """Return some faces of one material, with what they have at their ``corners`` (F, 3, 3)."""
@@ -351,7 +351,7 @@ def shape_of(
     else:
         uv = (mesh.uv[faces] / (material.scale * TILE)).astype(np.float32)
     layers = {"normals": mesh.corner_normals[faces], "texcoords": uv}
-    shape = triangles(corners[faces], parts, layers)
+    shape = _triangles(corners[faces], parts, layers)
     if mesh.colors is not None:
         colors = mesh.colors[faces] * np.array([*material.color, 1], np.float32)
         shape.add_attribute("vertex_color", 3, colors[..., :3].ravel())
@@ -359,14 +359,14 @@ def shape_of(
     return shape
 
 
-def triangles(
+def _triangles(
     corners: FloatArray, parts: dict[str, Any], layers: dict[str, NDArray[Any]] | None = None
 ) -> Any:
     """Return triangles (F, 3, 3) as a mesh in which no two share a vertex.
 
     ``layers`` are values (F, 3, K) of the corners: normals and texcoords.
     """
-    mi = mitsuba()
+    mi = _mitsuba()
     layers = {f"vertex_{name}": values for name, values in (layers or {}).items()}
     properties = mi.Properties()
     for name, part in parts.items():
@@ -470,7 +470,7 @@ def _texels(texture: Texture) -> Floats:
 
 def _bitmap(values: NDArray[Any], wrap: tuple[int, int] = (REPEAT, REPEAT)) -> dict[str, Any]:
     """Return values (H, W, K) as a texture; of ``wrap`` to the right and downward it has one."""
-    content = mitsuba().Bitmap(np.ascontiguousarray(values, dtype=np.float32))
+    content = _mitsuba().Bitmap(np.ascontiguousarray(values, dtype=np.float32))
     return {"type": "bitmap", "bitmap": content, "raw": True, "wrap_mode": WRAPS[min(wrap)]}
 
 

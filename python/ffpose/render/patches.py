@@ -74,5 +74,7 @@ def render_all_patches(
 ) -> Iterator[Patches]:
     """Render the patches of images in order with several processes."""
     make = partial(render_patches, scene, seed, spec=spec, content=content)
+    if sys.platform != "linux":
+        return in_processes(make, indices, workers, "spawn")
     prepared(scene.build())  # forked workers share the BVH
-    return in_processes(make, indices, workers, "fork" if sys.platform == "linux" else "spawn")
+    return in_processes(make, indices, workers, "fork")

@@ -125,7 +125,7 @@ def _opened(path: Path) -> Scene:
     file = read_scene_file(path)
     status = file.mesh.stat() if file.mesh.exists() else None
     try:
-        return _opened_once(file, *((status.st_mtime_ns, status.st_size) if status else ()))
+        return _opened_once(file, None if status is None else (status.st_mtime_ns, status.st_size))
     except DataError:
         raise
     except ValueError as error:
@@ -133,7 +133,7 @@ def _opened(path: Path) -> Scene:
 
 
 @lru_cache(maxsize=4)
-def _opened_once(file: SceneFile, *_: int) -> Scene:
+def _opened_once(file: SceneFile, _: tuple[int, int] | None) -> Scene:
     return file.scene()
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ffpose.datasets.csv_set import camera_file, has_pose
 from ffpose.datasets.parsing import Names, read_table
 from ffpose.geometry import CAMERA_FILE, POSE_COLUMNS, Pose
-from ffpose.imaging.images import SUFFIXES
+from ffpose.imaging.images import is_image
 
 logger = logging.getLogger(__name__)
 
@@ -71,5 +71,4 @@ def _unlisted(folder: Path, frames: list[Frame]) -> int:
     listed = {frame.image for frame in frames}
     places = {folder, *(image.parent for image in listed)}
     there = (path for place in places for path in place.glob("*"))
-    left = (path for path in there if path.suffix.lower() in SUFFIXES and path not in listed)
-    return sum(path.is_file() for path in left)
+    return sum(is_image(path) and path not in listed for path in there)

@@ -197,7 +197,8 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
 def truncation_distance(too_far: ArrayLike, truncation: ArrayLike) -> float:
     """Return the number ``k`` with the least sum of ``|too_far - k truncation²|``; 0 without cuts.
 
-    They are logarithms of predicted over true distances ``(N,)``, and shares cut off, 0 to 1.
+    ``too_far`` are logarithms of predicted over true distances ``(N,)``, ``truncation`` the shares
+    that are cut off ``(N,)``, 0 to 1.
     """
     shares = np.asarray(truncation, np.float64) ** 2
     cut = shares > 0
@@ -217,11 +218,16 @@ def fit_tails(
 ) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
-    Of errors about modes of one distribution each, with ``probabilities (N, K)``, the first above
-    0, the squared distances are ``eᵀ C⁻¹ e (N, K)``. With a doubt ``p`` and a truncation ``s``
-    ``(N,)``, 0…1, the scale matrix is that without them times ``(1 + k p)² (1 + l s²)²``; where all
-    are zero no growth is found. Degrees of freedom are `LEAST_DEGREES_OF_FREEDOM` to
-    `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
+    With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
+    times ``(1 + k p)² (1 + l s²)²``; where all are zero no growth is found. Degrees of freedom are
+    `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.polar_pose.MOST_DEGREES_OF_FREEDOM`.
+
+    Args:
+        squared_distance: ``eᵀ C⁻¹ e`` of the errors from each of the modes ``(N, K)``, about each
+            of which errors have the same distribution.
+        doubt: ``(N,)``.
+        truncation: ``(N,)``.
+        probabilities: Of the modes ``(N, K)``, that of the first above 0.
     """
     d2, shares = map(torch.from_numpy, (squared_distance, np.stack([doubt, truncation**2])))
     log_p = torch.from_numpy(probabilities / probabilities.sum(axis=1, keepdims=True)).log()

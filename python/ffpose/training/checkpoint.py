@@ -38,7 +38,7 @@ FREE_FIELDS = {
 }
 """Fields that may change when a run is resumed: where it runs, for how long, and what it writes."""
 
-PATHS = {"data.scene", "data.keypoints", "symmetry", "init", "backbone_weights"}
+PATHS = {"data.scene", "symmetry", "init", "backbone_weights"}
 """Fields that may be paths, of which another spelling is the same, or that of a moved file."""
 
 DIGEST_SIZE = hashlib.sha256().digest_size
@@ -158,6 +158,14 @@ def _same_file(saved: object, given: object) -> bool:
     Labels and symmetry are compared by what they hold as a run goes on, which reads no initial
     weights.
     """
+    if same_place(saved, given):
+        return True
     before, now = Path(str(saved)), Path(str(given))
-    moved = before.is_absolute() and not before.exists() and now.is_file()
-    return same_place(saved, given) or (moved and before.name == now.name)
+    return before.is_absolute() and _is_gone(before) and now.is_file() and before.name == now.name
+
+
+def _is_gone(path: Path) -> bool:
+    try:
+        return not path.exists()
+    except PermissionError:  # a folder of another user
+        return True

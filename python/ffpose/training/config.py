@@ -155,9 +155,9 @@ class DataConfig:
         if self.kind == "scenes":
             sets = len(self.scenes)
             expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
-            for name in ("holdout", "undistort", "white"):
-                got, default = getattr(self, name), type(self).__dataclass_fields__[name].default
-                expect(got == default, f"data.{name}", f"{default} with kind scenes", got)
+            for name, alone in {"holdout": 0, "undistort": False, "white": None}.items():
+                got = getattr(self, name)
+                expect(got == alone, f"data.{name}", f"{alone} with kind scenes", got)
         least = {"workers": 0, "validation": 1, "calibration": 2, "empty": 0, "decoys": 0}
         expect_least(self, "data.", **least, **dict.fromkeys(VARIANTS, 0))
         near, far = self.distance
@@ -369,7 +369,8 @@ class TrainConfig:
             lists, which is what a YAML file gives back.
         backbone_weights: "auto" (pretrained), "none" (random), or a file.
         normalize_translation: Whether the head predicts translations standardized by mean and
-            standard deviation of the training split, instead of meters.
+            standard deviation of the training split, instead of meters; a mean and a deviation
+            among ``model_fields`` stay.
         epochs: Number of epochs of the first stage; overrides that of ``stages``.
         stages: Training stages, in order; by default the first stage of the paper alone. Each
             starts from the best weights of those before it. On a command line they come from a
@@ -378,8 +379,8 @@ class TrainConfig:
             0 for never.
         batch_size: Number of images per batch.
         accumulate: Number of batches whose gradients are accumulated for one step.
-        processes: Number of training processes on this machine, each with batches of its own; that
-            of ``torchrun`` where it starts them itself.
+        processes: Number of training processes on this machine, each with batches of its own; where
+            ``torchrun`` starts them, that of all on all machines.
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"

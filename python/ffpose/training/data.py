@@ -146,13 +146,12 @@ def _scenes(
         config.root, shown[0], val_seed, config.validation, preprocessing, workers=workers
     )
     kinds = [varied(scene) for scene in scenes]
-    parts = [
-        (part, matching(TRAINING, seed + more), count)
-        for kind in kinds[0]
-        for each, seed, whole in zip(kinds, config.seeds, config.counts, strict=True)
-        for part, more in [each[kind]]
-        if (count := whole if kind == "whole" else getattr(config, kind)) > 0
-    ]
+    parts = list[tuple[Scene, int, int]]()
+    for kind in kinds[0]:
+        for each, seed, whole in zip(kinds, config.seeds, config.counts, strict=True):
+            (part, more), count = each[kind], whole if kind == "whole" else getattr(config, kind)
+            if count > 0:
+                parts.append((part, matching(TRAINING, seed + more), count))
     if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         records = [record for each in frames for record in each.records]

@@ -307,7 +307,10 @@ class PatchBatches:
         )
 
     def _canonical(self, rotation: Tensor) -> Tensor:
-        """Return the symmetries ``(B, 4)`` after which views, ``R (B, 3, 3)``, have their label."""
+        """Return the symmetries ``(B, 4)`` after which views have their label.
+
+        ``rotation (B, 3, 3)`` is from the object's frame to the virtual camera's.
+        """
         seen_from = -rotation[:, 2]  # the camera's direction in the object's frame
         return self.symmetries[(seen_from @ self.references.mT).argmax(dim=1)]
 

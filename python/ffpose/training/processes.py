@@ -151,11 +151,13 @@ def joined(device: str) -> Iterator[Processes]:
     if world == 1 or distributed.is_initialized():
         yield ALONE if world == 1 else current()
         return
-    expected = "one without a number, as each of several processes has its own"
-    expect(":" not in device, "device", expected, device)
-    gpu = device == "cuda" or (device == "auto" and torch.cuda.is_available())
+    kind, _, number = device.partition(":")
+    gpu = kind == "cuda" or (device == "auto" and torch.cuda.is_available())
     if gpu:
-        torch.cuda.set_device(_own_gpu())
+        own = _own_gpu()
+        expected = f"cuda:{own} or cuda, as each process has a GPU of its own"
+        expect(number in ("", str(own)), "device", expected, device)
+        torch.cuda.set_device(own)
     distributed.init_process_group(
         BACKENDS if gpu else "gloo", store=_store(), rank=int(os.environ["RANK"]), world_size=world
     )

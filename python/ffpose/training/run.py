@@ -14,6 +14,7 @@ from torch import nn
 from ffpose._internal.torch_internals import multiplies_bfloat16
 from ffpose._internal.zoo import resolve_initial
 from ffpose.config import looks_twice
+from ffpose.errors import expect
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     BaseNetwork,
@@ -120,6 +121,9 @@ def build_run(
         statistics = translation_statistics(data.train_set.poses)
         if before is not None and type(before.config) is type(model_config):
             statistics = {name: getattr(before.config, name) for name in statistics}
+            for name in statistics.keys() & fields.keys():  # their outputs are of that scale
+                scale, own = tuple(fields[name]), tuple(statistics[name])
+                expect(scale == own, name, f"{own}, that of the weights before", scale)
         fields = statistics | fields
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
@@ -134,6 +138,10 @@ def build_run(
     task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema, config.init_share)
+    if isinstance(task, ObjectTask):
+        described = describe_patches(data.patches, data.val_set, config.data)
+    else:
+        described = describe_images(task.train_set, config.data)
     return Run(
         config,
         model,
@@ -141,12 +149,10 @@ def build_run(
         optimizer,
         task,
         device,
-        data.calibration,
-        symmetry,
-        recipe(config, init, symmetry),
-        describe_patches(data.patches, data.val_set, config.data)
-        if isinstance(task, ObjectTask)
-        else describe_images(task.train_set, config.data),
+        calibration=data.calibration,
+        symmetry=symmetry,
+        recipe=recipe(config, init, symmetry),
+        data=described,
     )
 
 

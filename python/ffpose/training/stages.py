@@ -104,10 +104,11 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     names = [stage.name for stage in stages]
     if len(set(names)) < len(names):
         raise ValueError(f"stages: expected names that differ, got {', '.join(names)}")
-    for name, frozen in ((f"stage {stage.name!r}", stage.freeze) for stage in stages):
-        for part in frozen:
+    for stage in stages:
+        name = f"stage {stage.name!r}"
+        for part in stage.freeze:
             expect(part in parts, name, f"parts out of {', '.join(parts)}", part)
-        if set(frozen) == set(parts):
+        if set(stage.freeze) == set(parts):
             raise ValueError(f"{name}: nothing is left to train, all parts are frozen")
 
 

@@ -125,7 +125,8 @@ def test_weights_that_do_not_know_their_recipe_do_not_know_what_they_saw(tmp_pat
 
 
 def test_a_recipe_of_another_program_says_nothing():
-    for foreign in ({"optimizer": "sgd"}, {"init": {"recipe": None}}):
+    timm = {"data": {}, "views": {}, "model": "resnet50", "init": "imagenet"}
+    for foreign in ({"optimizer": "sgd"}, {"init": {"recipe": None}}, timm):
         assert {seen.answer for seen in conditions(foreign).values()} == {"unknown"}
         assert picture_seen(foreign, "noise") == Seen("unknown")
 

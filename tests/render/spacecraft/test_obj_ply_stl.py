@@ -1,6 +1,7 @@
-"""Files that trimesh reads as something else are refused, or read as they are meant."""
+"""OBJ, PLY and STL files are read as they are meant; what cannot be read is named."""
 
 import codecs
+import re
 import struct
 
 import numpy as np
@@ -168,7 +169,7 @@ def test_a_ply_text_that_is_cut_short_is_refused(tmp_path):
         "7 3 1 2 3\n": "expected 4 rows of face, as stated, got 3: the file is cut short",
         "7 3 0 1 3\n": "expected 4 rows of face, as stated, got 1: the file is cut short",
         "0 1 0\n": "expected 4 rows of vertex, as stated, got 2: the file is cut short",
-        "end_header": "expected a head that ends with end_header, got none",
+        "end_header": "expected a head from ply to end_header, got none",
     }
     for after, message in cases.items():
         assert refused(tmp_path, "cut.ply", PLY[: PLY.index(after)])[1] == message
@@ -177,7 +178,51 @@ def test_a_ply_text_that_is_cut_short_is_refused(tmp_path):
 def test_a_short_row_of_a_ply_text_is_named(tmp_path):
     row = PLY.splitlines().index("7 3 0 3 2") + 1
     line, message = refused(tmp_path, "row.ply", PLY.replace("7 3 0 3 2", "7 3 0"))
-    assert (line, message) == (row, "expected 5 values of face, got 3")
+    assert (line, message) == (row, "face: expected 3 of vertex_indices in the row, got 1")
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        (("uchar mark", "uchar mark"), ("7 3 0 3 2", "300 3 0.0 3.0 2e0")),
+        (("uchar mark", "float quality"), ("7 3 0 3 2", "-nan(ind) 3 0 3 2")),
+        (("uchar mark", "uint material_index"), ("7 3 0 3 2", "-1 3 0 3 2")),
+        (("list uchar int", "list char uchar"), ("7 3 0 3 2", "7 3 0 3 2")),
+    ],
+)
+def test_a_ply_text_has_no_widths_and_what_is_not_read_may_be_anything(tmp_path, head, row):
+    text = PLY.replace(*head).replace(*row)
+    np.testing.assert_array_equal(shape(tmp_path, "a.ply", text), shape(tmp_path, "b.ply", PLY))
+
+
+def test_a_ply_text_has_polygons_of_any_number_of_corners(tmp_path):
+    """Of a disk of 300, whose number is above what its type holds in binary."""
+    angles = np.arange(300) * (2 * np.pi / 300)
+    rows = "".join(f"{np.cos(a)} {np.sin(a)} 0\n" for a in angles)
+    head = PLY[: PLY.index("0 0 0\n")].replace("vertex 4", "vertex 300").replace("face 4", "face 1")
+    found = shape(tmp_path, "disk.ply", f"{head}{rows}7 300 {' '.join(map(str, range(300)))}\n")
+    area = np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
+    assert area.sum() / 2 == pytest.approx(150 * np.sin(2 * np.pi / 300))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("vertex 4", "vertex -4"), "expected of vertex at least 0 rows .*, got -4 of x, y, z"),
+        (("float y", "float x"), "expected of vertex .* distinct properties, got 4 of x, x, z"),
+        (("ascii", "ASCII"), "expected a format of ascii, binary_little_endian, .*, got ASCII"),
+        (("format ascii 1.0\n", ""), "expected a format of ascii, .*, got none"),
+        (("7 3 0 3 2", "7 -3 0 3 2"), "face: expected lists of at least 0 values, got -3"),
+        (("ply\n", "plx\n"), "expected a head from ply to end_header, got none"),
+    ],
+)
+def test_a_head_of_a_ply_file_that_cannot_be_is_named(tmp_path, change, message):
+    assert re.fullmatch(message, refused(tmp_path, "a.ply", PLY.replace(*change, 1))[1])
+
+
+def test_a_ply_file_without_vertices_has_no_triangles(tmp_path):
+    head = PLY[: PLY.index("0 0 0\n")].replace("vertex 4", "vertex 0").replace("face 4", "face 0")
+    assert refused(tmp_path, "a.ply", head)[1] == "expected triangles, got none"
 
 
 def binary(text, order):
@@ -270,6 +315,23 @@ def test_the_colors_of_binary_stl_files(tmp_path, head, codes, colors):
 
 CORNER_COLORS = (RED, BLUE, PINK, GRAY)
 """Of the vertices of `POINTS`."""
+
+
+@pytest.mark.parametrize(
+    ("vertex", "got"), [("vertex x 0 0", "x 0 0"), ("vertex 0 0", "0 0"), ("vertex", "")]
+)
+def test_coordinates_of_an_stl_text_that_are_none_are_named(tmp_path, vertex, got):
+    facet = f"facet normal 0 0 1\nouter loop\n{vertex}\nvertex 1 0 0\nvertex 0 1 0\nendloop\n"
+    text = f"solid a\n{facet}endfacet\nendsolid a\n"
+    message = refused(tmp_path, "a.stl", text)[1]
+    assert message == f"expected coordinates of a vertex as 1.5 -2 3e-4, got {got!r}"
+
+
+def test_a_binary_stl_file_of_no_triangles_has_none(tmp_path):
+    head = b"COLOR=" + bytes([1, 2, 3, 4])
+    assert (
+        refused(tmp_path, "a.stl", head.ljust(80) + bytes(4))[1] == "expected triangles, got none"
+    )
 
 
 def obj_of_colors():
@@ -546,6 +608,35 @@ def test_vertices_have_their_colors_beside_texture_coordinates_and_others_withou
     np.testing.assert_array_equal(craft.mesh.colors[last.all(axis=-1)], 1)
 
 
+@pytest.mark.parametrize("lines", ["Kd 0.4 0.4 0.4\n", "map_Kd a.png\n"])
+def test_a_material_with_a_color_has_it_and_not_that_of_vertices(tmp_path, lines):
+    """Where both are baked into a scan, light would count twice."""
+    Image.new("RGB", (2, 2), (102, 102, 102)).save(tmp_path / "a.png")
+    (tmp_path / "a.mtl").write_text(f"newmtl a\n{lines}")
+    head = "mtllib a.mtl\nvt 0 0\nusemtl a\n"
+    (tmp_path / "a.obj").write_text(head + obj_of_colors().replace("f 1 3 2", "f 1/1 3/1 2/1"))
+    assert load_craft(tmp_path / "a.obj").mesh.colors is None
+
+
+@pytest.mark.parametrize("lines", ["", "\n", "# exported\n", "Ns 10\nillum 2\n", "map_Kd\nKd\n"])
+def test_a_material_without_a_color_leaves_vertices_theirs(tmp_path, lines):
+    (tmp_path / "a.mtl").write_text(f"newmtl a\n{lines}")
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\nusemtl a\n{obj_of_colors()}")
+    craft = load_craft(tmp_path / "a.obj")
+    light = [[SRGB[code] for code in color] for color in (RED, PINK, BLUE)]
+    first = craft.mesh.colors[0, :, :3] * craft.materials[0].color
+    np.testing.assert_allclose(first, light, atol=1e-5)
+
+
+def test_parts_without_colors_stay_gray_beside_one_with(tmp_path):
+    plain = "".join(f"v 9 {line[2:]}\n" for line in ("v 0 0", "v 1 0", "v 0 1"))
+    text = f"usemtl colored\n{obj_of_colors()}{plain}usemtl plain\nf 5 6 7\n"
+    (tmp_path / "a.obj").write_text(text)
+    craft = load_craft(tmp_path / "a.obj")
+    colors = {m.color[0] for m in craft.materials}
+    assert sorted(colors) == [pytest.approx(SRGB[102], abs=1e-5), 1.0]
+
+
 def test_faces_without_normals_leave_the_others_theirs(tmp_path):
     """A normal that is no number, as old programs write, is none."""
     text = POINTS + "vn 0 0.6 0.8\nvn -nan(ind) 0 0\nf 1//1 3//1 2//1\nf 1 2 4\nf 1//2 4//2 3//2\n"
@@ -564,10 +655,10 @@ def test_a_material_without_a_name_is_that_of_faces_that_name_none(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("Kd red", "expected numbers after kd of a material, got 'red'"),
-        ("Kd 0.5 0.5", "expected numbers after kd of a material, got '0.5 0.5'"),
-        ("Ns nan", "expected numbers after ns of a material, got 'nan'"),
-        ("Ke 1e999 0 0", "expected numbers after ke of a material, got '1e999 0 0'"),
+        ("Kd red", "material 'a': expected one number or three after kd, got 'red'"),
+        ("Kd 0.5 0.5", "material 'a': expected one number or three after kd, got '0.5 0.5'"),
+        ("Ns nan", "material 'a': expected one number or three after ns, got 'nan'"),
+        ("Ke 1e999 0 0", "material 'a': expected one number or three after ke, got '1e999 0 0'"),
     ],
 )
 def test_numbers_of_materials_that_are_none_are_named(tmp_path, line, message):
@@ -613,4 +704,4 @@ def test_a_ply_text_of_other_types_than_it_states_is_named(tmp_path):
     row = PLY.splitlines().index("7 3 0 3 2") + 1
     line, message = refused(tmp_path, "row.ply", PLY.replace("7 3 0 3 2", "7 3 0 3 x"))
     assert line == row
-    assert message == "expected values of face of the types that are stated, got '7 3 0 3 x'"
+    assert message == "face: expected numbers of vertex_indices, got '0 3 x'"

@@ -40,11 +40,12 @@ def trainings(recipe: Recipe | None) -> list[Recipe | None]:
 
     A recipe of another program, which says nothing of these images, is unknown too.
     """
-    if recipe is None or not {"data", "views", "model"} <= recipe.keys():
+    if recipe is None or not {"data", "views"} <= recipe.keys():
+        return [None]
+    if recipe.get("model") not in PRESETS:
         return [None]
     init = recipe.get("init")
-    rest = trainings(init["recipe"]) if init else []
-    return [recipe, *rest] if recipe["model"] in PRESETS else [None]
+    return [recipe, *trainings(init["recipe"])] if init else [recipe]
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:

@@ -146,7 +146,13 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
 
 
 def reliability_diagram(evaluation: Evaluation) -> Figure:
-    """Plot the coverage of confidence regions over their probability; diagonal if calibrated."""
+    """Plot the coverage of confidence regions over their probability; diagonal if calibrated.
+
+    Raises:
+        ValueError: The evaluation holds no covariance.
+    """
+    if not evaluation.region_probabilities:
+        raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
     figure = new_figure(4.6, 4.2)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")

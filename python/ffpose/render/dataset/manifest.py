@@ -68,8 +68,8 @@ class Manifest:
         names = [each.name for each in fields(cls)]
         parts = [content.get(name) for name in names] if isinstance(content, dict) else [None]
         if not all(isinstance(part, dict) for part in parts):
-            got = shortened(content)
-            raise DataError(f"expected a manifest of `ffpose render`, got {got}", path)
+            expected = f"expected a manifest of `ffpose render`, the objects {', '.join(names)}"
+            raise DataError(f"{expected}; got {shortened(content)}", path)
         return cls(*parts)
 
     def write(self, target: Path) -> None:

@@ -180,13 +180,15 @@ def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     """Return the folder's manifest, checked to be of the same set; None for a new set."""
     # These first: another shard that starts right now writes its manifest before them.
     found = ["images"] if _holds_images(job.folder) else []
-    found += [CAMERA_FILE] if (job.folder / CAMERA_FILE).exists() else []
+    camera = job.folder / CAMERA_FILE
+    if camera.exists() and Camera.read(camera) != camera_of(job.scene, job.size):
+        found.append(f"another {CAMERA_FILE}")
     old = Manifest.read(job.folder / FILE_NAME)
     if old is None:
         if found:
             raise ValueError(
                 f"{job.folder}: expected an empty folder or a set that was begun here, "
-                f"got {' and '.join(found)} without a manifest"
+                f"got {' and '.join(found)} without a manifest: move it, or write elsewhere"
             )
         return None
     changed = difference(old, manifest)

@@ -1,7 +1,7 @@
 """Reading glTF 2.0: scenes, meshes and physically based materials.
 
-Of all sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures
-and copies of nodes trimesh reads some at most, so it is not used here. Sections are those of the
+All sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures and
+copies of nodes are read, of which libraries read some at most. Sections are those of the
 specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins and morph targets are as before
 animations; occlusion textures are left out, as light is traced.
 """
@@ -111,11 +111,15 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     document.check_count(count, most_faces, "triangles")
     of = {key: document.primitive(key).get("material") for key in drawn}
     materials = Materials(document.header, set(of.values()), document.image_bytes, assets.source)
-    for key in drawn:
-        for source in materials.get(of[key])[1]:
-            if (name := f"TEXCOORD_{source.set}") not in shapes[key]:
-                text = "%s: mesh %d has a texture and no %s: of one color"
-                logger.warning(text, assets.source, key.mesh, name)
+    missing = {
+        (key.mesh, name)
+        for key in drawn
+        for source in materials.get(of[key])[1]
+        if (name := f"TEXCOORD_{source.set}") not in shapes[key]
+    }
+    for mesh, name in sorted(missing):
+        text = "%s: mesh %d has a texture and no %s: of one color"
+        logger.warning(text, assets.source, mesh, name)
     return [
         _part(shapes[item.key], materials, of[item.key], item)
         for item in placed

@@ -69,11 +69,12 @@ def read_libraries(
     for content in assets.libraries(lines):
         fields: dict[str, str] = {}
         for line in content.splitlines():
-            key, rest = [*line.decode(errors="replace").split(maxsplit=1), "", ""][:2]
+            text = line.decode(errors="replace").replace("\t", " ").strip()
+            key, _, rest = text.partition(" ")
             if key.lower() == "newmtl":
                 fields = {}
                 found[" ".join(rest.split())] = fields
-            else:
+            elif rest.partition("#")[0].strip():  # some programs write a key without a value
                 fields[key.lower()] = rest.strip()
     unknown = sorted({*used} - {*found, ""})
     if unknown:
@@ -83,15 +84,10 @@ def read_libraries(
 
 
 class MtlMaterials:
-    """Materials by their names; textures that are left out are told.
+    """Materials by their names; textures that are left out are told."""
 
-    ``colored``: whether vertices have colors, for which a material without anything is white.
-    """
-
-    def __init__(
-        self, given: Mapping[str, Fields], assets: Assets, *, colored: bool = False
-    ) -> None:
-        self._given, self._assets, self._colored = given, assets, colored
+    def __init__(self, given: Mapping[str, Fields], assets: Assets) -> None:
+        self._given, self._assets = given, assets
         self._slots: dict[str, Slots] = {
             name: {
                 field: texture_slot(field, fields[field])
@@ -111,8 +107,24 @@ class MtlMaterials:
             text = "%s: textures of materials are left out: %s"
             logger.warning(text, assets.source, ", ".join(left_out))
 
-    def get(self, name: str) -> tuple[Material, tuple[Source, ...]]:
-        """Return a material as the renderer has them, and the sources of its textures."""
+    def has_color(self, name: str) -> bool:
+        """Return whether a material has a color or a texture of it."""
+        return not {"kd", "map_kd"}.isdisjoint(self._given[name])
+
+    def get(self, name: str, *, colored: bool = False) -> tuple[Material, tuple[Source, ...]]:
+        """Return a material as the renderer has them, and the sources of its textures.
+
+        One without a color is white for vertices that are ``colored``, else gray.
+
+        Raises:
+            DataError: A field has no such numbers; the error names the material.
+        """
+        try:
+            return self._made(name, colored)
+        except DataError as error:
+            raise DataError(f"material {name!r}: {error.message}", error.file, error.line) from None
+
+    def _made(self, name: str, colored: bool) -> tuple[Material, tuple[Source, ...]]:
         fields, (maps, sources) = self._given[name], self._pyramids.textures(self._slots[name])
         gloss = max(_number_of(fields, "ns", 0.0), 0.0)
         rough = (2 / (gloss + 2)) ** 0.25 if "ns" in fields else ROUGHNESS
@@ -122,7 +134,7 @@ class MtlMaterials:
         glow = _color(fields, "ke", float("map_ke" in maps))
         shine = _color(fields, "ks", 0.5)
         made = Material(
-            three(linear(np.clip(self._base(fields), 0, 1))),
+            three(linear(np.clip(_base(fields, colored), 0, 1))),
             float(np.clip(1.0 if "map_pr" in maps else rough, LEAST_ROUGHNESS, 1)),
             float(np.clip(_number_of(fields, "pm", 0.0), 0, 1)),
             three(glow),
@@ -135,16 +147,17 @@ class MtlMaterials:
         )
         return made, sources
 
-    def _base(self, fields: Fields) -> NDArray[np.float64]:
-        """Return the sRGB color that a texture or the colors of vertices are multiplied by."""
-        white = "map_kd" in fields or (self._colored and not fields)
-        color = _color(fields, "kd", 1.0 if white else GRAY)
-        # Exporters write black beside a texture to be seen as it is.
-        return color if color.any() or "map_kd" not in fields else np.ones(3)
-
     def _opened(self, name: str) -> Any:
         """Open an image, of which Pillow reads the head."""
         return open_image(self._assets.get(name), repr(name))
+
+
+def _base(fields: Fields, colored: bool) -> NDArray[np.float64]:
+    """Return the sRGB color that a texture or the colors of vertices are multiplied by."""
+    white = colored or "map_kd" in fields
+    color = _color(fields, "kd", 1.0 if white else GRAY)
+    # Exporters write black beside a texture to be seen as it is.
+    return color if color.any() or "map_kd" not in fields else np.ones(3)
 
 
 def _color(fields: Fields, key: str, missing: float) -> NDArray[np.float64]:
@@ -168,7 +181,7 @@ def _finite(key: str, words: list[str]) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (1, 3):
-        raise DataError(f"expected numbers after {key} of a material, got {' '.join(words)!r}")
+        raise DataError(f"expected one number or three after {key}, got {' '.join(words)!r}")
     return numbers
 
 

@@ -1,8 +1,8 @@
 """Reading OBJ files: polygons by materials, whose corners may have texture coordinates and normals.
 
-Some programs write colors behind the coordinates of vertices: they are sRGB, and multiply the
-material's. Vertices and corners without any of these are white, without a place in the texture and
-with the normal that their faces have.
+Some programs write colors behind the coordinates of vertices: they are sRGB, and count where the
+material has no color and no texture of it. Vertices and corners without any of these are white,
+without a place in the texture and with the normal that their faces have.
 """
 
 from __future__ import annotations
@@ -28,6 +28,10 @@ KINDS = {b"v": "vertices", b"vt": "texture coordinates", b"vn": "normals"}
 """What a file's faces name, in the order in which a corner has them."""
 
 
+COLORS = b"v rgb"
+"""What stands for the colors of vertices among the keywords: no keyword has a blank."""
+
+
 def read_obj(content: bytes, assets: Assets) -> list[Part]:
     """Read the parts of an OBJ file, one of each material.
 
@@ -36,13 +40,12 @@ def read_obj(content: bytes, assets: Assets) -> list[Part]:
             or cannot be used.
     """
     shape = _Shape(as_utf8(content))
-    colored = bool(np.isfinite(shape.colors).any())
     given = read_libraries(shape.libraries, shape.polygons, assets)
-    materials = MtlMaterials(given, assets, colored=colored)
-    return [_part(shape, name, materials, colored, assets) for name in shape.polygons]
+    materials = MtlMaterials(given, assets)
+    return [_part(shape, name, materials, assets) for name in shape.polygons]
 
 
-def _part(shape: _Shape, name: str, materials: MtlMaterials, colored: bool, assets: Assets) -> Part:
+def _part(shape: _Shape, name: str, materials: MtlMaterials, assets: Assets) -> Part:
     """Return the faces of a material."""
     faces = np.concatenate(
         [shape.triangles(size, its) for size, its in shape.polygons[name].items()]
@@ -50,7 +53,9 @@ def _part(shape: _Shape, name: str, materials: MtlMaterials, colored: bool, asse
     # Each corner as 24 bytes in the order of its numbers: faster than rows of numbers.
     corners, numbers = np.unique(faces.astype(">i8").view("V24"), return_inverse=True)
     vertex, place, normal = corners.view(">i8").reshape(-1, 3).T
-    material, sources = materials.get(name)
+    colors = shape.colors[vertex]
+    colored = not materials.has_color(name) and bool(np.isfinite(colors).any())
+    material, sources = materials.get(name, colored=colored)
     if sources and (place < 0).all():
         text = "%s: material %r has a texture and no texture coordinates: of one color"
         logger.warning(text, assets.source, name)
@@ -60,7 +65,7 @@ def _part(shape: _Shape, name: str, materials: MtlMaterials, colored: bool, asse
         numbers.reshape(-1, 3),
         material,
         unit_normals(shape.normals[normal]) if (normal >= 0).any() else None,
-        light(np.nan_to_num(shape.colors[vertex], nan=1.0)) if colored else None,
+        light(np.nan_to_num(colors, nan=1.0)) if colored else None,
         tuple(source.transformed(places) for source in sources),
     )
 
@@ -103,17 +108,20 @@ class _Shape:
                 material = b" ".join(rest.split()).decode(errors="replace")
             elif key == b"mtllib":
                 self.libraries.append(rest.strip().decode(errors="replace"))
-        self.points, self.colors = (np.array(self._numbers[k]).reshape(-1, 3) for k in (b"v", b"c"))
-        self.places = np.array([*self._numbers[b"vt"], 0, 0]).reshape(-1, 2)
-        self.normals = np.array([*self._numbers[b"vn"], *[np.nan] * 3]).reshape(-1, 3)
+        self.points = np.array(self._numbers[b"v"]).reshape(-1, 3)
+        self.colors = np.array(self._numbers[COLORS]).reshape(-1, 3)
+        self.places = np.append(self._numbers[b"vt"], [0, 0]).reshape(-1, 2)
+        self.normals = np.append(self._numbers[b"vn"], np.full(3, np.nan)).reshape(-1, 3)
 
     def _add(self, key: bytes, words: list[bytes]) -> None:
         """Note a vertex, texture coordinates or a normal."""
         if key == b"v":
             self._numbers[key].extend(_floats(words, 3))
-            self._numbers[b"c"].extend(_floats(words[3:], 3) if len(words) >= 6 else [np.nan] * 3)
+            self._numbers[COLORS].extend(_floats(words[3:], 3) if len(words) >= 6 else [np.nan] * 3)
         elif key == b"vt":  # a texture of one row has coordinates of one number
-            self._numbers[key].extend(_floats([*words, b"0"], 2))
+            self._numbers[key].extend(
+                _floats(words, 2) if len(words) > 1 else [*_floats(words, 1), 0]
+            )
         else:
             try:
                 self._numbers[key].extend(_floats(words, 3))

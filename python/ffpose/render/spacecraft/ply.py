@@ -6,10 +6,12 @@ Colors are sRGB. Properties that are none of these are left out.
 from __future__ import annotations
 
 import logging
+import math
 import re
 import struct
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +32,8 @@ CODES |= {"uchar": "B", "ushort": "H", "uint": "I", "uint8": "B", "uint16": "H",
 
 TEXTURE = re.compile(rb"(?m)^comment\s+TextureFile\s+(\S[^\r\n]*)")
 
+FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
+
 CORNERS = ("vertex_index", "vertex_indices")
 """Names of the list of a face's vertices; of others the first list is taken."""
 
@@ -45,6 +49,11 @@ class Property(NamedTuple):
     name: str
     code: str
     length: str = ""
+
+    @property
+    def of_text(self) -> Property:
+        """The same in a text, which has no widths."""
+        return Property(self.name, "d" if self.code in "fd" else "q", "I" if self.length else "")
 
 
 class Element(NamedTuple):
@@ -63,27 +72,36 @@ def read_ply(content: bytes, assets: Assets) -> list[Part]:
     """Read a PLY file.
 
     Raises:
-        DataError: It is cut short or longer than its head states, a row has too few values, a face
-            names no vertex, or the texture is missing or cannot be used.
+        DataError: It has no head, is cut short or, a binary one, longer than its head states, a row
+            has too few values or some that are no numbers, a face names no vertex, or the texture
+            is missing or cannot be used.
     """
     head, mark, body = content.partition(b"end_header")
-    if not mark:
-        raise DataError("expected a head that ends with end_header, got none")
+    if not mark or head.split(maxsplit=1)[:1] != [b"ply"]:
+        raise DataError("expected a head from ply to end_header, got none")
     textures = {name.decode(errors="replace").strip() for name in TEXTURE.findall(head)}
     if len(textures) > 1:
         got = f"{len(textures)}: save it as OBJ or glTF"
         raise DataError(f"expected a PLY file of at most one texture, got {got}")
     lines = [line.split() for line in head.decode(errors="replace").splitlines()]
     elements, body = _elements(lines), body.partition(b"\n")[2]
-    form = next((words[1] for words in lines if words[:1] == ["format"]), "")
+    form = next((words[1] for words in lines if words[:1] == ["format"] and words[1:]), "none")
+    if form not in FORMATS:
+        raise DataError(f"expected a format of {', '.join(FORMATS)}, got {form}")
     if form == "ascii":
+        elements = [
+            each._replace(properties=[its.of_text for its in each.properties]) for each in elements
+        ]
         body = _packed(body, elements, len(lines) + 2)
+    stated = {its.name for each in elements if each.name == "vertex" for its in each.properties}
+    if missing := [axis for axis in XYZ if axis not in stated]:
+        raise DataError(f"expected x, y and z of each vertex, got none of {', '.join(missing)}")
     rows = _rows(body, elements, ">" if form == "binary_big_endian" else "<")
     vertices = rows.get("vertex", [])
     names = {name for each in vertices for name in each.dtype.names or () if each[name].ndim == 1}
     vertex = {name: np.concatenate([each[name] for each in vertices]) for name in names}
-    if missing := [axis for axis in XYZ if axis not in vertex]:
-        raise DataError(f"expected x, y and z of each vertex, got none of {', '.join(missing)}")
+    if not vertices:
+        return []
     points = _stacked(vertex, XYZ).astype(np.float64)
     alike = defaultdict[Any, list[NDArray[np.void]]](list)
     for each in rows.get("face", []):
@@ -109,6 +127,12 @@ def _elements(lines: list[list[str]]) -> list[Element]:
         except (IndexError, ValueError):
             text = "expected a line as 'element vertex 8' or 'property float x', got"
             raise DataError(f"{text} {' '.join(words)!r}", line=number) from None
+    for each in elements:
+        names = [its.name for its in each.properties]
+        if each.rows < 0 or len(set(names)) < len(names):
+            expected = "at least 0 rows of distinct properties"
+            got = f"{each.rows} of {', '.join(names)}"
+            raise DataError(f"expected of {each.name} {expected}, got {got}")
     return [each for each in elements if each.properties]
 
 
@@ -118,28 +142,44 @@ def _packed(body: bytes, elements: list[Element], line: int) -> bytes:
     for element in elements:
         rows = lines[start : start + element.rows]
         for number, row in enumerate(rows, line + start):
-            form, at = "<", 0
-            for each in element.properties:
-                size = 1
-                if each.length:
-                    size = int(row[at]) if at < len(row) else 0
-                    at += 1
-                form += f"{each.length}{size}{each.code}"
-                at += size
-            if len(row) < at:
-                text = f"expected {at} values of {element.name}, got {len(row)}"
-                raise DataError(text, line=number)
             try:
-                words = (int(w) if w.lstrip(b"+-").isdigit() else float(w) for w in row[:at])
-                packed += struct.pack(form, *words)
-            except (ValueError, OverflowError, struct.error):
-                text = f"expected values of {element.name} of the types that are stated, got"
-                got = b" ".join(row).decode(errors="replace")
-                raise DataError(f"{text} {got!r}", line=number) from None
+                packed += _packed_row(element, row)
+            except (ValueError, struct.error) as error:
+                raise DataError(f"{element.name}: {error}", line=number) from None
         if len(rows) < element.rows:
             raise _cut_short(element, len(rows))
         start += element.rows
     return bytes(packed)
+
+
+def _packed_row(element: Element, row: list[bytes]) -> bytes:
+    form, values, words = "<", list[float](), iter(row)
+    for each in element.properties:
+        count = 1
+        if each.length:
+            (length,) = _numbers(words, 1, Property(each.name, "q", each.length))
+            values.append(length)
+            count = int(length)
+            form += each.length
+        values += _numbers(words, count, each)
+        form += f"{count}{each.code}"
+    return struct.pack(form, *values)
+
+
+def _numbers(words: Iterator[bytes], count: int, its: Property) -> list[float]:
+    """Return the next numbers of a row; a ValueError where there are none that are needed."""
+    if count < 0:
+        raise ValueError(f"expected lists of at least 0 values, got {count}")
+    found = list(islice(words, count))
+    if len(found) < count:
+        raise ValueError(f"expected {count} of {its.name} in the row, got {len(found)}")
+    try:
+        return [float(word) if its.code == "d" else int(float(word)) for word in found]
+    except (OverflowError, ValueError):
+        if its.name in XYZ or its.length:
+            got = b" ".join(found[:9]).decode(errors="replace")
+            raise ValueError(f"expected numbers of {its.name}, got {got!r}") from None
+        return [math.nan if its.code == "d" else 0] * count  # as -nan(ind) of what follows
 
 
 def _cut_short(element: Element, found: int) -> DataError:
@@ -185,8 +225,13 @@ def _row_type(element: Element, body: bytes, at: int, order: str) -> np.dtype[np
                 raise DataError(f"expected lists of at least 0 values, got {length}")
             fields.append((f" {each.name}", order + each.length))
             size += struct.calcsize(order + each.length)
-        fields.append((each.name, order + each.code, *[(length,)] * bool(each.length)))
         size += length * struct.calcsize(order + each.code)
+        if size > len(body) - at:
+            raise struct.error
+        if each.length:
+            fields.append((each.name, order + each.code, (length,)))
+        else:
+            fields.append((each.name, order + each.code))
     return np.dtype(fields)
 
 
@@ -246,15 +291,15 @@ def _part(
         text = "%s: texture %r is left out, as there are no texture coordinates"
         logger.warning(text, assets.source, texture)
     given = {} if texture is None or uv is None else {"map_kd": texture}
-    if colors is None and of_faces[0] is not None:
+    if given:
+        colors = None  # which the texture has too
+    elif colors is None and of_faces[0] is not None:
         colors = np.concatenate(of_faces)[:, None]
-    material, sources = MtlMaterials({"": given}, assets, colored=colors is not None).get("")
+    material, sources = MtlMaterials({"": given}, assets).get("", colored=colors is not None)
     layers = list[NDArray[np.float32]]()
     if uv is not None and sources:  # each corner has a place of its own
         layers = [each.transformed(uv.reshape(-1, 2) * (1, -1) + (0, 1)) for each in sources]
         points = points[faces].reshape(-1, 3)
         normals = None if normals is None else normals[faces].reshape(-1, 3)
-        if colors is not None and colors.ndim == 2:
-            colors = colors[faces].reshape(-1, 4)
         faces = np.arange(len(points)).reshape(-1, 3)
     return Part(points, faces, material, normals, colors, tuple(layers))

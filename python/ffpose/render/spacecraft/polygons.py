@@ -20,6 +20,8 @@ def triangulated(points: Floats) -> NDArray[np.intp]:
     """Return the triangles (P, N - 2, 3) of polygons (P, N, 3), numbers of their corners."""
     fan = [(0, k, k + 1) for k in range(1, points.shape[1] - 1)]
     corners = np.tile(np.array(fan, np.intp), (len(points), 1, 1))
+    if points.shape[1] == 3:
+        return corners
     for k in np.flatnonzero(_folded(points)):
         corners[k] = _clipped(points[k])
     return corners

@@ -23,7 +23,8 @@ from ffpose.render.spacecraft.textures import linear
 SOLID = re.compile(rb"(?im)^[ \t]*(?:end)?solid\b[^\r\n]*")
 """The line of a solid's name in a text, which may have any word."""
 
-VERTEX = re.compile(rb"(?i)\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
+VERTEX = re.compile(rb"(?i)\bvertex\b[ \t]*([^\r\n]*)")
+"""A vertex, and the rest of its line."""
 
 HEAD = 84
 """Bytes of a binary file before its triangles."""
@@ -54,7 +55,7 @@ def read_stl(content: bytes) -> list[Part]:
         found = VERTEX.findall(SOLID.sub(b"", solid))
         if len(found) % 3:
             raise DataError(f"expected three vertices of each triangle, got {len(found)} vertices")
-        points = np.array(found, np.bytes_).astype(np.float64)
+        points = np.array([_coordinates(rest) for rest in found]).reshape(-1, 3)
     else:
         raise _other_size(len(content), stated)
     vertices = points.reshape(-1, 3).astype(np.float64)
@@ -68,6 +69,17 @@ def read_stl(content: bytes) -> list[Part]:
             colors=None if codes is None else light(codes / 255)[:, None],
         )
     ]
+
+
+def _coordinates(rest: bytes) -> list[float]:
+    words = rest.split()[:3]
+    try:
+        if len(words) == 3:
+            return [float(word) for word in words]
+    except ValueError:
+        pass
+    got = rest.strip().decode(errors="replace")
+    raise DataError(f"expected coordinates of a vertex as 1.5 -2 3e-4, got {got!r}")
 
 
 def _solid(content: bytes) -> bytes | None:
@@ -92,6 +104,8 @@ def _colors(head: bytes, codes: NDArray[np.uint16]) -> NDArray[np.uint8] | None:
 
     ``head`` are the bytes before the number of triangles.
     """
+    if len(codes) == 0:
+        return None
     _, found, part = head.partition(PART_COLOR)
     levels = np.stack([codes >> shift & 31 for shift in (10, 5, 0)], axis=1)
     own, missing = codes >= GIVEN, np.full(3, round(255 * GRAY))
