@@ -215,7 +215,7 @@ def test_an_image_of_another_camera_is_turned_into_the_view(sighted):
 
 
 def test_a_camera_of_another_shape_than_its_image_is_refused(sighted):
-    with pytest.raises(ValueError, match=r"of its camera, .*width=1280.* got an image of 96x96"):
+    with pytest.raises(ValueError, match=r"of its camera, .*width=1280.* got 96x96"):
         answer(sighted, noise_image(96, 96), camera=Camera(1280, 960, 640, 640, 640, 480))
 
 

@@ -33,8 +33,8 @@ def test_learned_code_is_trained_and_saved_sinusoids_are_neither():
     ("dim", "kind", "text"),
     [
         (8, "rotary", r"'learned', 'sinusoidal'.*'rotary'"),
-        (7, "learned", "a multiple of 2, got 7"),
-        (6, "sinusoidal", "a multiple of 4, got 6"),
+        (7, "learned", "dim: expected a multiple of 2 for the learned code, got 7"),
+        (6, "sinusoidal", "dim: expected a multiple of 4 for the sinusoidal code, got 6"),
     ],
 )
 def test_wrong_construction(dim, kind, text):

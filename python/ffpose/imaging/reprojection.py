@@ -151,8 +151,11 @@ class Reprojection(Preprocessing):
         Raises:
             ValueError: The aspect ratio of the image differs from its camera's.
         """
-        size, expected = image.size, f"the aspect ratio of its camera, {self.source}"
-        expect(self.source.has_aspect(*size), "image", expected, f"{size[0]}x{size[1]}")
+        if not self.source.has_aspect(*image.size):
+            raise ValueError(
+                f"image: expected the aspect ratio of its camera, {self.source}, "
+                f"got {image.size[0]}x{image.size[1]}"
+            )
         source = self.source.resized(*image.size)
         if isinstance(source, DistortedCamera):
             image, source = undistort(image, source), source.pinhole

@@ -31,6 +31,7 @@ from ffpose.render import (
 from ffpose.render.dataset import tables, writer
 from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.layers import LAYERS, depth_step
+from ffpose.render.renderer import camera_of
 from ffpose.render.sequence import Sequence
 
 SIZE = (64, 48)
@@ -303,9 +304,14 @@ def test_the_camera_of_other_images_is_left_alone(tmp_path):
     frames = Sequence.of_kind("tumble", SCENES["soyuz_easy"], 1, 2, 0, (32, 24))
     write_sequence(frames, tmp_path)
     before = contents(tmp_path)
-    with pytest.raises(ValueError, match=r"got camera\.json without a manifest"):
+    with pytest.raises(ValueError, match=r"got another camera\.json without a manifest: move it"):
         write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
     assert contents(tmp_path) == before
+
+
+def test_the_camera_of_a_set_may_be_there_before_it(tmp_path):
+    camera_of(SCENES["soyuz_easy"], SIZE).write(tmp_path / "camera.json")
+    assert write_dataset("soyuz_easy", tmp_path, 2, size=SIZE).rendered == 2
 
 
 @pytest.mark.parametrize(
