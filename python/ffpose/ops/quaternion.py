@@ -23,6 +23,7 @@ from ffpose._internal.torch_internals import (
     is_recording,
     outer_tangents,
     primals,
+    transforms_at_work,
 )
 from ffpose.ops.bridge import HALF_DTYPES, arithmetic_dtype, check_tensor
 
@@ -51,8 +52,12 @@ def normalize_quaternion(q: Tensor) -> Tensor:
         TypeError: The dtype of ``q`` is not supported.
     """
     check_tensor("q", q)
-    if is_plain(q) and not (torch.is_grad_enabled() and q.requires_grad):
-        return _on_cpu(q)
+    if is_plain(q):
+        if not (torch.is_grad_enabled() and q.requires_grad):
+            return _on_cpu(q)
+        if not transforms_at_work():
+            recorded: Tensor = _NormalizeQuaternionOnCpu.apply(q)
+            return recorded
     result: Tensor = _op(q) if is_recording() else _NormalizeQuaternion.apply(q)
     return result
 
@@ -99,6 +104,17 @@ class _NormalizeQuaternion(Function):
     def vmap(info: Any, in_dims: Sequence[int], q: Tensor) -> tuple[Tensor, int]:
         """Treat the batch as one more leading dimension."""
         return normalize_quaternion(q.movedim(in_dims[0], 0)), 0
+
+
+class _NormalizeQuaternionOnCpu(Function):
+    """`_NormalizeQuaternion` for plain autograd, with less overhead; see `ffpose.ops.spectral`."""
+
+    @staticmethod
+    def forward(ctx: Any, q: Tensor) -> Tensor:
+        ctx.save_for_backward(q)
+        return _on_cpu(q)
+
+    backward = _NormalizeQuaternion.backward
 
 
 # Kernels: Rust on the CPU, torch elsewhere, shapes alone for fake tensors.

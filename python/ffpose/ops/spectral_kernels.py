@@ -92,7 +92,8 @@ def backward_rust(
 ) -> tuple[Tensor, Tensor]:
     """Return both gradients of CPU tensors, of shape ``(0,)`` where one is not needed."""
     grad, x, weight = grad.contiguous(), x.contiguous(), weight.contiguous()
-    for_x, for_weight = _new_gradients(x, weight, need_x, need_weight)
+    for_x = torch.empty_like(x) if need_x else x.new_empty(0)
+    for_weight = torch.empty_like(weight) if need_weight else weight.new_empty(0)
     outputs = (for_x if need_x else None, for_weight if need_weight else None)
     try:
         _rust.filter_tensors_backward(grad, x, weight, *outputs, layout, torch.get_num_threads())
@@ -113,13 +114,6 @@ def _are_aligned(*tensors: Tensor) -> bool:
     return not any(tensor.data_ptr() % tensor.element_size() for tensor in tensors)
 
 
-def _new_gradients(
-    x: Tensor, weight: Tensor, need_x: bool, need_weight: bool
-) -> tuple[Tensor, Tensor]:
-    for_x = x.new_empty(x.shape if need_x else 0)
-    return for_x, weight.new_empty(weight.shape if need_weight else 0)
-
-
 def _forward_fake(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
     check_filter(x, weight, layout)
     return x.new_empty(x.shape)
@@ -136,7 +130,8 @@ def _backward_fake(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> tuple[Tensor, Tensor]:
     check_gradient(grad, x, weight, layout)
-    return _new_gradients(x, weight, need_x, need_weight)
+    for_x = x.new_empty(x.shape if need_x else 0)
+    return for_x, weight.new_empty(weight.shape if need_weight else 0)
 
 
 torch.library.impl(FORWARD, "cpu", forward_rust)
