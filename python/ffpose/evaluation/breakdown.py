@@ -20,16 +20,16 @@ BACK_LIT_DEG = 90.0
 
 
 def breakdown(
-    errors: PoseErrors, distance: FloatArray, conditions: Conditions | None
+    errors: PoseErrors, distance: FloatArray | None, conditions: Conditions | None
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the median errors of groups of images, those without images left out.
 
-    By condition: ``distance`` (terciles of the true distances ``(N,)``, meters) and, where
-    conditions are known, ``lighting`` (sunlit images also as front-lit and back-lit),
+    By condition: ``distance`` (terciles of the true distances ``(N,)``, meters), where there are
+    any, and, where conditions are known, ``lighting`` (sunlit images also as front-lit and back-lit),
     ``background`` and ``in_frame`` (share of the object in the frame). Each group has ``group``,
     ``images`` and ``median_`` errors named as in `ffpose.evaluation.metrics.PoseError`.
     """
-    families = {"distance": _by_distance(distance)}
+    families = {} if distance is None else {"distance": _by_distance(distance)}
     if conditions is not None:
         back_lit = conditions.sun_angle_deg < BACK_LIT_DEG
         sunlit, share = ~conditions.eclipsed, conditions.visible_share

@@ -193,6 +193,7 @@ class Evaluation:
         of attitudes over 30 degrees off, and of those that are so from both.
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
+        located = self.dataset.target == "object"  # a world's origin is nothing to be far from
         uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
@@ -208,7 +209,7 @@ class Evaluation:
             "confusion": self._confusion(self.predicted),
             "oracles": self._oracles(),
             "correlation": self._correlations(),
-            "groups": breakdown(self.errors, distance, self.conditions),
+            "groups": breakdown(self.errors, distance if located else None, self.conditions),
             **({"uncertainty": uncertainty} if uncertainty else {}),
         }
 

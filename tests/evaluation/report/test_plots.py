@@ -58,6 +58,8 @@ def test_a_camera_at_the_origin_of_its_world_is_evaluated(tmp_path):
     assert "esa_score" not in told
     assert "in_plane" not in (tmp_path / "predictions.csv").read_text()
     assert "relative" not in format_table(told)
+    assert told["groups"] == {}
+    assert not (tmp_path / "errors_by_distance.png").exists()
 
 
 def history(epochs):

@@ -212,11 +212,12 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> None:
     figures: dict[str, Callable[[Evaluation], Figure]] = {
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
-        "errors_by_distance.png": errors_by_distance,
         "predicted_angles.png": predicted_angles,
         "typical.png": lambda each: gallery(each, each.typical(8)),
         "worst.png": lambda each: gallery(each, each.ranking[::-1][:16].tolist()),
     }
+    if evaluation.dataset.target == "object":
+        figures["errors_by_distance.png"] = errors_by_distance
     if evaluation.region_probabilities:
         figures["reliability.png"] = reliability_diagram
     for name, draw in figures.items():
