@@ -21,9 +21,9 @@ pub(crate) enum Plan<T: Real> {
 }
 
 impl<T: Real> Plan<T> {
-    /// The plan for a shape without zeros: one channel as tokens, by codelets; several images of few channels together; many channels
-    /// by vectors across its lines; else, or where half of every vector would be empty, by squares of vectors; what is left goes
-    /// along memory.
+    /// The plan for a shape without zeros: one channel as tokens, by codelets; several images together of few channels, or of few tokens
+    /// without codelets; many channels by vectors across its lines; else, or where half of every vector would be empty, by squares of
+    /// vectors; what is left goes along memory.
     pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let Shape { layout, rows, columns, lanes } = shape;
         let along = || Self::Along(Planes::new(shape, Along::new(shape)));
@@ -39,7 +39,7 @@ impl<T: Real> Plan<T> {
         {
             return Self::Tokens(tokens);
         }
-        if together {
+        if together || batched::pays_without_codelets(shape, tuning) {
             return Self::Batched(Batched::new(isa, shape, tuning));
         }
         match layout {
