@@ -52,7 +52,7 @@ pub(super) fn pays<T: Element>(isa: Isa, shape: Shape, tuning: &Tuning) -> bool 
 }
 
 /// Whether tokens for which there are no codelets are filtered several images together: in batches of 64 and more, squares of vectors
-/// or RustFFT take 3 to 10 times as long, and longer than `torch.fft`. One alone takes up to twice as long, so that those of more points,
+/// or `RustFFT` take 3 to 10 times as long, and longer than `torch.fft`. One alone takes up to twice as long, so that those of more points,
 /// half of what a grid of one channel may have, are not.
 pub(super) fn pays_without_codelets(shape: Shape, tuning: &Tuning) -> bool {
     let Shape { layout, rows, columns, .. } = shape;
