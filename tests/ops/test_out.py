@@ -14,6 +14,8 @@ CASES = [
     ("tokens", (3, 14, 16)),
     ("tokens", (1, 196, 64)),
     ("tokens", (18, 50, 2)),
+    ("tokens", (19, 1, 96)),
+    ("tokens", (5, 7, 9)),
     ("grid", (2, 14, 14, 40)),
     ("grid", (1, 28, 28, 33)),
     ("grid", (33, 1, 12, 7)),
@@ -29,6 +31,23 @@ def arguments(layout, shape, dtype=torch.float32, device="cpu"):
     weight_dtype = torch.float32 if dtype in DTYPES[2:] else dtype
     x = torch.randn(shape).to(device, dtype)
     return x, torch.randn(weight_shape(shape[-rank:], layout)).to(device, weight_dtype)
+
+
+def test_what_is_no_tensor_is_named():
+    x, weight = arguments("tokens", (3, 14, 16))
+    for arguments_, out, name in (
+        ((x.numpy(), weight), x, "x: .*ndarray"),
+        ((x, None), x, "weight: .*NoneType"),
+        ((x, weight), x.numpy(), "out: .*ndarray"),
+    ):
+        with pytest.raises(TypeError, match=f"{name}"):
+            spectral_filter(*arguments_, out=out)
+
+
+def test_sparse_tensors_are_refused():
+    x, weight = arguments("tokens", (3, 14, 16))
+    with pytest.raises(TypeError, match=r"x: expected a strided tensor, got torch\.sparse_coo"):
+        spectral_filter(x.to_sparse(), weight)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -23,6 +23,8 @@ def check_tensor(name: str, tensor: object) -> None:
     if tensor.dtype not in DTYPES:
         names = ", ".join(str(dtype) for dtype in DTYPES)
         raise TypeError(f"{name}: expected one of {names}, got {tensor.dtype}")
+    if tensor.layout != torch.strided:
+        raise TypeError(f"{name}: expected a strided tensor, got {tensor.layout}")
 
 
 def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None:

@@ -34,7 +34,7 @@ from ffpose._internal.torch_internals import (
     primals,
     transforms_at_work,
 )
-from ffpose.ops.bridge import add, rebatch, unbatch
+from ffpose.ops.bridge import add, check_tensor, rebatch, unbatch
 from ffpose.ops.layout import Layout, check_filter
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
@@ -77,6 +77,9 @@ def spectral_filter(
             tangent, or another thread gave a tensor other memory during the call.
     """
     if out is not None:
+        if not all(isinstance(each, Tensor) for each in (x, weight, out)):
+            check_filter(x, weight, layout)
+            check_tensor("out", out)
         out_op(x, weight, layout, out=out)
         return out
     plain = is_plain(x, weight)
