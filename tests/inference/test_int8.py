@@ -140,6 +140,15 @@ def test_the_metadata_names_precision_and_images(graph, images, tmp_path):
     assert after == replace(before, precision="int8", calibration_sha256=digest)
 
 
+def test_numbers_that_float16_holds_are_stored_so(graph, images, tmp_path):
+    """As in the float32 graph; ONNX Runtime makes them float32 as it folds batch norms."""
+    int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+    for tensor in onnx.load(tmp_path / "int8.onnx").graph.initializer:
+        values = onnx.numpy_helper.to_array(tensor)
+        if values.dtype == np.float32 and values.size >= 1024:
+            assert (values.astype(np.float16) != values).any(), tensor.name
+
+
 def describe(graph, metadata):
     """Write other metadata into a graph."""
     model = onnx.load(graph)

@@ -75,6 +75,8 @@ def quantize_graph(
         track_sha256=None,  # its looks are of other bytes
     )
     onnx = require("onnx", "export")
+    from ffpose.onnx.exporter import halve
+
     with _camera_beside_images():
         camera = camera_beside(images)
         read: dict[str, Any] = {"camera": camera}
@@ -86,7 +88,10 @@ def quantize_graph(
         out = Path(folder) / "int8.onnx"
         inputs = (_input(estimator, image)[None] for image in images)
         nodes = quantize(Path(graph), out, metadata.filter, inputs)
-        model = onnx.load(str(out))
+        intermediate = require("onnx_ir", "export")
+        folded = intermediate.load(str(out))
+        halve(folded)  # again, as what was half is folded to float32
+        model = intermediate.to_proto(folded)
     onnx.helper.set_model_props(model, described.to_entries())
     data = sealed(model.SerializeToString())
     with atomic_write(path) as temporary:
