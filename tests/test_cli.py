@@ -612,6 +612,27 @@ def test_help_loads_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            ["evaluate", "w", "--data.kind", "csv", "--data.root", "s", "--out", "s"],
+            "out: expected",
+        ),
+        (["render", "a.glb", "--out", "x", "--count", "1"], "soyuz_easy, .*; a mesh is --mesh's"),
+        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "3"], "WIDTHxHEIGHT"),
+    ],
+)
+def test_what_cannot_be_meant_is_wrong_usage(words, text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(words)
+    except SystemExit as error:
+        code = error.code
+    assert code == 2
+    assert re.search(text, capsys.readouterr().err)
+
+
 def test_interruption_is_said_and_code_130(monkeypatch, capsys, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from ffpose._internal.files import expect_place, expect_writable
 from ffpose._internal.options import advice, check_spelling, is_usage, positionals_first, restyle
 from ffpose._internal.signals import exit_on_sigterm
-from ffpose.errors import DataError, MissingExtraError, explain, require
+from ffpose.errors import DataError, MissingExtraError, expect, explain, require
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -438,6 +438,8 @@ def evaluate(options: Namespace) -> None:
 
     expect_writable(options.out)
     data = options.data
+    apart = options.out.resolve() != data.root.resolve()  # a table of results would be a split
+    expect(apart, "out", "another folder than that of the images", options.out)
     evaluation = run(
         options.weights,
         data.kind,

@@ -618,6 +618,7 @@ def write_gltf(name, **changes):
         (["none.stl"], "none.stl"),
         (["craft.txt"], "mesh: expected a file of"),
         (["craft.stl", "--minutes", "0"], "minutes: expected more than 0, got 0"),
+        (["craft.stl", "--seed", "-1"], "seed: expected 0 to 999999, got -1"),
         (["craft.stl", "--distance", "9", "3"], "distance: expected 0 < near < far"),
         (["sphere.ply"], "looks the same from all sides, as a sphere does"),
         (["triangle.ply"], "expected a spacecraft of some depth, got one that is flat"),

@@ -98,6 +98,11 @@ def test_flat_names_reach_into_groups():
         (lambda: DataConfig("scenes", Path(), calibration=1), "data.calibration: expected 2 or"),
         (lambda: CalibrationImages(seed=101), "data.seed: expected 4000000 to 4999999, .* got 101"),
         (lambda: CalibrationImages(step=0), "data.step: expected 1 or more, got 0"),
+        (lambda: CalibrationImages(split="test"), "data.split: expected val with kind scenes, got"),
+        (
+            lambda: CalibrationImages("csv", count=5),
+            "data.count: expected 200 with kind csv, got 5",
+        ),
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
         (lambda: DataConfig("scenes", Path(), seed=10**6), "0 to 999999, .* got 1000000"),
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),

@@ -130,6 +130,8 @@ def advice(message: str, known: Sequence[str]) -> str:
         "Group 'data' does not accept option 'val_splt' (did you mean data.val_split?)"
         >>> advice("Parser key \"mesh_scale\": Expected a <class 'float'>. Got value: nan", [])
         '--mesh-scale: expected a finite number, got nan'
+        >>> advice('Parser key "size": Not of type Size: 30 does not match regular expression', [])
+        '--size: expected WIDTHxHEIGHT, as 640x480, got 30'
     """
     line = " ".join(message.split())
     if unknown := re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line):
@@ -139,6 +141,8 @@ def advice(message: str, known: Sequence[str]) -> str:
         return line + hint(f"{unknown[1]}.{unknown[2]}", fields)
     if unknown := re.search(r"Option '(.+)' is not accepted", line):
         return line + hint(unknown[1], fields)
+    if size := re.match(r'Parser key "(.+?)": Not of type Size: (\S+) does not match', line):
+        return f"--{size[1].replace('_', '-')}: expected WIDTHxHEIGHT, as 640x480, got {size[2]}"
     if not (
         value := re.match(r'Parser key "(.+?)".*?: (.+?)[.:]? (?:Got|Given) value: (.+)', line)
     ):

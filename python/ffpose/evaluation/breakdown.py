@@ -24,8 +24,8 @@ def breakdown(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the median errors of groups of images, those without images left out.
 
-    By condition: ``distance`` (terciles of the true distances ``(N,)``, meters), where there are
-    any, and, where conditions are known, ``lighting`` (sunlit images also as front-lit and back-lit),
+    By condition: ``distance`` (terciles of the true distances ``(N,)``, meters; None for none) and,
+    where conditions are known, ``lighting`` (sunlit images also as front-lit and back-lit),
     ``background`` and ``in_frame`` (share of the object in the frame). Each group has ``group``,
     ``images`` and ``median_`` errors named as in `ffpose.evaluation.metrics.PoseError`.
     """

@@ -18,7 +18,7 @@ import numpy as np
 from ffpose import __version__
 from ffpose._internal.files import held, read_json, same_place, sha256, write_json
 from ffpose._internal.machine import cores
-from ffpose._internal.seeds import CHOICES, matching
+from ffpose._internal.seeds import CHOICES, TRAINING, matching
 from ffpose._internal.zoo import resolve_initial
 from ffpose.errors import DataError, expect
 from ffpose.evaluation.card.measurement import measure
@@ -131,6 +131,7 @@ class LearnConfig:
 
     def __post_init__(self) -> None:
         expect(0 < self.minutes < math.inf, "minutes", "more than 0", self.minutes)
+        expect(self.seed in TRAINING, "seed", f"0 to {TRAINING.stop - 1}", self.seed)
         name = self.mesh.stem
         if name in SCENES or "+" in name:
             raise ValueError(

@@ -113,7 +113,8 @@ def find_scene(
     elif Path(scene).suffix == SUFFIX:
         found = _opened(Path(scene))
     else:
-        expect(scene in SCENES, "scene", f"one of {', '.join(SCENES)}", scene)
+        known = f"one of {', '.join(SCENES)}, or a scene.json; a mesh is --mesh's"
+        expect(scene in SCENES, "scene", known, scene)
         found = SCENES[str(scene)]
     if attitude_range_deg is None:
         return found

@@ -83,8 +83,8 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
     chosen = records[config.start :: config.step]
     if not chosen:
         raise ValueError(
-            f"calibration: expected more than {config.start} images in {config.split}, every"
-            f" {config.step}th of which calibrates, got {len(records)}"
+            f"calibration: expected more than {config.start} images in {config.split}, got"
+            f" {len(records)}"
         )
     about = {
         "shows": "object",

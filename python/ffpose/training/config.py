@@ -7,7 +7,8 @@ the paper (section 4.3) where it states a value.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -68,6 +69,19 @@ class CalibrationImages:
         expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
         expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
         expect_least(self, "data.", count=2, start=0, step=1, workers=0)
+        rendered = ("scene", "seed", "count", "cut", "randomized", "dusk", "distance")
+        if self.kind == "scenes":
+            _expect_unchanged(self, ("split", "start", "step", "undistort", "white"), "scenes")
+        else:
+            _expect_unchanged(self, rendered, self.kind)
+
+
+def _expect_unchanged(config: Any, names: Sequence[str], kind: str) -> None:
+    """Check that fields that mean nothing for a kind of image set are as nobody gave them."""
+    usual = {each.name: each.default for each in fields(config)}
+    for name in names:
+        got = getattr(config, name)
+        expect(got == usual[name], f"data.{name}", f"{usual[name]} with kind {kind}", got)
 
 
 @dataclass(frozen=True)
@@ -155,9 +169,7 @@ class DataConfig:
         if self.kind == "scenes":
             sets = len(self.scenes)
             expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
-            for name, alone in {"holdout": 0, "undistort": False, "white": None}.items():
-                got = getattr(self, name)
-                expect(got == alone, f"data.{name}", f"{alone} with kind scenes", got)
+            _expect_unchanged(self, ("holdout", "undistort", "white"), "scenes")
         least = {"workers": 0, "validation": 1, "calibration": 2, "empty": 0, "decoys": 0}
         expect_least(self, "data.", **least, **dict.fromkeys(VARIANTS, 0))
         near, far = self.distance
