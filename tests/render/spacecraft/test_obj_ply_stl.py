@@ -196,7 +196,7 @@ def test_a_ply_text_has_no_widths_and_what_is_not_read_may_be_anything(tmp_path,
 
 
 def test_a_ply_text_has_polygons_of_any_number_of_corners(tmp_path):
-    """Of a disk of 300, whose number is above what its type holds in binary."""
+    """Of a disk of 300, more than the type of their number holds in binary."""
     angles = np.arange(300) * (2 * np.pi / 300)
     rows = "".join(f"{np.cos(a)} {np.sin(a)} 0\n" for a in angles)
     head = PLY[: PLY.index("0 0 0\n")].replace("vertex 4", "vertex 300").replace("face 4", "face 1")
@@ -616,6 +616,14 @@ def test_a_material_with_a_color_has_it_and_not_that_of_vertices(tmp_path, lines
     head = "mtllib a.mtl\nvt 0 0\nusemtl a\n"
     (tmp_path / "a.obj").write_text(head + obj_of_colors().replace("f 1 3 2", "f 1/1 3/1 2/1"))
     assert load_craft(tmp_path / "a.obj").mesh.colors is None
+
+
+def test_a_texture_may_be_called_by_a_number(tmp_path):
+    Image.new("RGB", (2, 2), (102, 102, 102)).save(tmp_path / "#1.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd #1.png\n")
+    faces = FACES.replace("f 1 3 2", "f 1/1 3/1 2/1")
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\nvt 0 0\nusemtl a\n{POINTS}{faces}")
+    assert load_craft(tmp_path / "a.obj").materials[0].color_map is not None
 
 
 @pytest.mark.parametrize("lines", ["", "\n", "# exported\n", "Ns 10\nillum 2\n", "map_Kd\nKd\n"])

@@ -74,7 +74,7 @@ def read_libraries(
             if key.lower() == "newmtl":
                 fields = {}
                 found[" ".join(rest.split())] = fields
-            elif rest.partition("#")[0].strip():  # some programs write a key without a value
+            elif rest.strip():  # some programs write a key without a value
                 fields[key.lower()] = rest.strip()
     unknown = sorted({*used} - {*found, ""})
     if unknown:
