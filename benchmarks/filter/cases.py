@@ -72,6 +72,8 @@ FEW_ROWS: Sizes = (
     ("grid", (8, 256, 4)),
 )
 """Fewer rows than a square of vectors, and no codelet or channels that fill vectors."""
+FEW_TOKENS: Sizes = tuple(("tokens", size) for size in ((1, 96), (7, 7), (14, 14), (100, 5)))
+"""So few points, and no codelets, that several images are filtered together."""
 OVERHEAD_SIZE = (7, 7, 32)
 """Size at which the overhead of a call exceeds its arithmetic."""
 OVERHEAD_BATCHES = (1, 33)
@@ -82,6 +84,8 @@ LARGEST_MATRIX = 256
 
 BATCHES = (1, 8, 32)
 LARGEST_BATCH = max(BATCHES)
+MANY = 64
+"""Batch of few tokens, which fills the vectors of every instruction set."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,8 @@ class Case:
             return "few channels"
         if size in FEW_ROWS:
             return "few rows"
+        if size in FEW_TOKENS:
+            return "few tokens"
         return "tokens" if size in TOKENS else "other sizes"
 
     @property
@@ -198,7 +204,8 @@ def make_plan(quick: bool) -> Plan:
         cases = [*with_rivals(sweep(FEW, (1, 8), 1), rivals), *overhead_cases()]
         return Plan({best: cases}, 0.1, (*notes, "quick: few sizes, one thread"))
     sizes = GRID + TOKENS + OTHER + FEW_CHANNELS + FEW_ROWS
-    cases = [*with_rivals(sweep(sizes, BATCHES, 1), rivals), *overhead_cases()]
+    one_thread = sweep(sizes, BATCHES, 1) + sweep(FEW_TOKENS, (MANY,), 1)
+    cases = [*with_rivals(one_thread, rivals), *overhead_cases()]
     for threads in sorted({2, cores()} if cores() > 1 else ()):
         cases += sweep(GRID + TOKENS, BATCHES, threads)
     if cores() == 1:
@@ -207,7 +214,7 @@ def make_plan(quick: bool) -> Plan:
     isas = (best,) if "FFPOSE_ISA" in os.environ else SLOWER[best]
     for isa in isas[1:]:
         is_scalar = isa == "scalar"
-        by_isa[isa] = sweep(GRID + TOKENS, (1,), 1) if is_scalar else sweep(sizes, BATCHES, 1)
+        by_isa[isa] = sweep(GRID + TOKENS, (1,), 1) if is_scalar else one_thread
     if "scalar" in by_isa and best != "scalar":
         notes = (*notes, "scalar: against torch.fft with all its instruction sets")
     return Plan(by_isa, 0.25, notes)

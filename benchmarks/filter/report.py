@@ -15,6 +15,7 @@ from benchmarks.filter.cases import (
     CHANNELS_FIRST,
     COMPILED,
     COPY,
+    MANY,
     MATRICES,
     SCIPY,
     TORCH,
@@ -230,7 +231,7 @@ def _result(one: Comparison) -> dict[str, Any]:
     }
 
 
-COLORS = dict(zip(BATCHES, ("#1b4f9c", "#3fa7d6", "#f08a24"), strict=True))
+COLORS = dict(zip((*BATCHES, MANY), ("#1b4f9c", "#3fa7d6", "#f08a24", "#7a7a7a"), strict=True))
 WORKS = ("forward", "forward+backward")
 TICKS = (0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 50)
 

@@ -19,6 +19,7 @@ GROUPS: Mapping[str, tuple[str, str]] = {
     "other sizes": ("other sizes", "other sizes, primes and sequences among them"),
     "few channels": ("few channels", "one to seven channels, sequences and tokens"),
     "few rows": ("few rows", "eight rows, tokens 8×256 and grids 8×256×4"),
+    "few tokens": ("few tokens", "few tokens, 7×7 to 100×5, batch 64"),
 }
 """Of each group of cases its short and its long name."""
 

@@ -12,8 +12,9 @@ def test_the_whole_table(monkeypatch):
     made = bench.make_plan(quick=False)
     assert list(made.cases) == ["avx512", "avx2", "scalar"]
     one_thread = [case for case in made.cases["avx512"] if case.threads == 1]
-    assert len({(case.kind, case.size) for case in one_thread}) == 38 + 1
+    assert len({(case.kind, case.size) for case in one_thread}) == 42 + 1
     assert {case.batch for case in one_thread if case.group == "tokens"} == {1, 8, 32}
+    assert {case.batch for case in one_thread if case.group == "few tokens"} == {64}
     assert {case.threads for case in made.cases["avx512"]} == {1, 2}
     assert all(len(set(cases)) == len(cases) for cases in made.cases.values())
 
