@@ -8,6 +8,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from ffpose import _rust
 from ffpose.nn import GlobalFilter, QuaternionActivation, SequenceFilter, SpectralFilter
+from ffpose.ops import spectral_filter
 
 # torch's own second derivatives call what torch deprecates.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
@@ -80,6 +81,15 @@ def test_the_kernels_of_other_devices_give_the_cpus_numbers(layer, shape, monkey
     # A filter's backward is an operator too.
     assert len(mode.calls) == (1 if isinstance(layer, QuaternionActivation) else 2)
     torch.testing.assert_close(got, expected)
+
+
+def test_a_weight_may_begin_anywhere_in_a_tensor():
+    """As one of several that a hypernetwork gives in one vector."""
+    x, weight = doubles((2, 7, 6)), doubles(57)[1:].view(7, 4, 2)
+    expected = torch.fft.irfft2(torch.fft.rfft2(x) * torch.view_as_complex(weight.clone()))
+    with AsOnCuda() as mode:
+        torch.testing.assert_close(spectral_filter(x, weight), expected)
+    assert mode.calls
 
 
 @pytest.mark.gpu

@@ -56,7 +56,8 @@ def _complex_weight(weight: Tensor, x: Tensor, layout: Layout) -> Tensor:
     FFT library treats columns that are not.
     """
     weight = weight.to(arithmetic_dtype(weight.dtype))
-    spectrum = torch.view_as_complex(weight.contiguous()).clone()
+    # A copy, also because torch sees no complex numbers that begin at an odd place of a storage.
+    spectrum = torch.view_as_complex(weight.clone(memory_format=torch.contiguous_format))
     columns = _lone_columns(x.shape[PLANE[layout][1]])
     chosen = spectrum[:, columns]
     mirrored = chosen.flip(0).roll(1, 0).conj_physical()
