@@ -63,6 +63,18 @@ def arguments(layout, shape, dtype=torch.float64, requires_grad=False, weight_dt
     return x.requires_grad_(requires_grad), weight.requires_grad_(requires_grad)
 
 
+class Operators(TorchDispatchMode):
+    """Lists the operators that run."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = []
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.seen.append(func)
+        return func(*args, **(kwargs or {}))
+
+
 @pytest.fixture(autouse=True)
 def _seed():
     torch.manual_seed(0)
@@ -342,6 +354,15 @@ def test_a_weight_learns_from_what_inference_mode_made(by):
     torch.testing.assert_close(got, expected)
 
 
+def test_what_inference_mode_made_is_filtered_once():
+    x, weight = arguments("tokens", (2, 4, 6))
+    with torch.inference_mode():
+        x = x.clone()
+    with Operators() as mode:
+        spectral_filter(x, weight.requires_grad_())
+    assert mode.seen.count(forward_op.default) == 1
+
+
 @pytest.mark.parametrize("context", [torch.no_grad, torch.inference_mode])
 def test_a_profile_of_inference_names_the_operator(context):
     x, weight = arguments("grid", (2, 14, 14, 8), requires_grad=True)
@@ -355,15 +376,9 @@ def test_a_profile_of_inference_names_the_operator(context):
 
 
 def test_a_dispatch_mode_sees_the_operator():
-    class Recorder(TorchDispatchMode):
-        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-            seen.append(func)
-            return func(*args, **(kwargs or {}))
-
-    seen = []
-    with Recorder():
+    with Operators() as mode:
         spectral_filter(*arguments("tokens", (4, 6)))
-    assert forward_op.default in seen
+    assert forward_op.default in mode.seen
 
 
 @pytest.fixture

@@ -97,13 +97,9 @@ def spectral_filter(
 
 def _recorded(function: type[Function], x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
     """Return the result of a function that autograd records."""
-    try:
-        result: Tensor = function.apply(x, weight, layout)
-    except RuntimeError:
-        if not x.is_inference():
-            raise
-        # Autograd cannot save inference tensors; the copy is made outside inference mode.
-        result = function.apply(x.clone(), weight, layout)
+    if x.is_inference() and not torch.is_inference_mode_enabled():
+        x = x.clone()  # autograd cannot save inference tensors
+    result: Tensor = function.apply(x, weight, layout)
     return result
 
 
