@@ -8,11 +8,11 @@ they find follows the true one. The errors of translation, and those of rotation
 multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using the t
 Distribution", JASA 1989): most are as small as the network says, and some are much larger. Those of
 the rotation are so about either of two modes with given probabilities: the network may not know
-which of two sides that look alike it sees. Found by maximum likelihood are the degrees of freedom, a scale of the
-covariances, and how the standard deviations grow with the network's own doubt of the attitude, the
-probability that its bins give to attitudes far from the most likely one, and with the squared share
-that is cut off. This is the analog of temperature scaling for probabilities (Guo et al., "On
-Calibration of Modern Neural Networks", ICML 2017). The covariances are then those of the t
+which of two sides that look alike it sees. Found by maximum likelihood are the degrees of freedom,
+a scale of the covariances, and how the standard deviations grow with the network's own doubt of the
+attitude, the probability that its bins give to attitudes far from the most likely one, and with the
+squared share that is cut off. This is the analog of temperature scaling for probabilities (Guo et
+al., "On Calibration of Modern Neural Networks", ICML 2017). The covariances are then those of the t
 distributions, not their scale matrices. Errors of heavily truncated objects are not quite t
 distributed: the growth with truncation is found anew, such that their confidence regions have the
 nominal coverage (as in conformal prediction).
