@@ -55,7 +55,7 @@ class PolarPoseConfig(NetworkConfig):
         directions: Number of viewing directions of the orientation bins.
         bins_width_deg: Standard deviation of the bins' soft labels, degrees.
         looks: Number of second looks, those at all candidates counting as one. Each further look is
-            pointed by the one before. With 1 the pose is that of one look, with more a mean of them.
+            pointed by the one before. With 1 the pose is that of one look, else a mean of several.
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
