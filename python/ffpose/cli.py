@@ -198,32 +198,32 @@ def render_arguments() -> Arguments:
     from ffpose.render.scene import Renderer
 
     scene = "soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
-    within = "of a motion, as soyuz_hard (the default) or a scene.json"
-    row = "CSV file of time,tx,ty,tz,qw,qx,qy,qz: one frame of the scene for each row"
+    within = "scene of a motion: a set (default: soyuz_hard) or a scene.json"
+    row = "CSV file of time,tx,ty,tz,qw,qx,qy,qz: render one frame of the scene for each row"
     labels = {"nargs": "+", "choices": list(LABELS)}
     angles = "largest absolute angles, degrees; 180 90 180 for all attitudes"
-    renderer = "of the spacecraft; mitsuba is a path tracer, 20 times slower"
+    renderer = "renderer of the spacecraft; mitsuba is a path tracer, 20 times slower"
     return {
         "scene": (str, ..., f"{scene}or a motion: approach, tumble, flyby"),
         "--scene": ({"dest": "within"}, None, within),
         **OUT,
-        "--count": (int, None, "how many images of a scene"),
+        "--count": (int, None, "number of images of a scene"),
         "--start": (int, 0, "index of the first image"),
         "--seconds": (float, None, f"length of a motion (default: {SECONDS:g})"),
-        "--rate": (float, None, f"frames a second of a motion (default: {RATE:g})"),
-        "--drop": (float, None, "share of a motion's frames lost (default: 0)"),
+        "--rate": (float, None, f"frames per second of a motion (default: {RATE:g})"),
+        "--drop": (float, None, "share of a motion's frames that are left out (default: 0)"),
         "--trajectory": (Path, None, row),
         "--seed": (int, 0, "seed of the set"),
         "--size": (size_type(), None, "WIDTHxHEIGHT in pixels, as 640x480"),
-        "--workers": (int, 1, "processes"),
+        "--workers": (int, 1, "processes that render"),
         "--layers": (bool, False, "write mask, depth and keypoints too"),
         "--labels": (labels, [], "write these layers too"),
         "--camera": (Path, None, CAMERA),
         "--mesh": (Path, None, "own spacecraft: .obj, .stl, .ply, .glb, .gltf"),
         **mesh_arguments(),
         "--attitude-range": (ANGLES, None, angles),
-        "--eclipse-rate": (float, None, "share in the Earth's shadow; as in orbit by default"),
-        "--motion": (float, 0.0, "largest motion blur, pixels of 1280"),
+        "--eclipse-rate": (float, None, "share in the Earth's shadow (default: as in orbit)"),
+        "--motion": (float, 0.0, "largest motion blur, pixels of an image 1280 wide"),
         "--jpeg": (int, 0, "JPEG quality 1-100; 0 is none"),
         "--randomize": (float, 0.0, "domain randomization, 0-1"),
         "--renderer": ({"choices": get_args(Renderer)}, "ffpose", renderer),
@@ -327,7 +327,7 @@ def train_arguments() -> Arguments:
     from ffpose.training import configs
 
     names = ", ".join(configs.names())
-    text = f"YAML file, such as config.yaml of a run, or the name of one that comes along: {names}"
+    text = f"YAML file, such as config.yaml of a run, or the name of one in the package: {names}"
     return {
         "--config": ({"action": "config"}, None, text),
         "--resume": (bool, False, "resume the run in --out; begin one where there is none"),
@@ -335,7 +335,7 @@ def train_arguments() -> Arguments:
 
 
 def train(options: Namespace) -> None:
-    """Train a model."""
+    """Train a network on labeled images or rendered scenes."""
     expect_writable(options.out)
     from ffpose.training.options import to_config
 
@@ -383,11 +383,11 @@ def learn_arguments() -> Arguments:
     return {
         "mesh": (Path, ..., MESH),
         **OUT,
-        "--minutes": (float, 60.0, "budget; more is better"),
+        "--minutes": (float, 60.0, "budget of the whole run, wall time; more is better"),
         "--camera": (Path, None, CAMERA),
         "--init": (str, "generic", init),
-        "--processes": (int, 0, "0 for one a core"),
-        "--seed": (int, 0, "seed of everything"),
+        "--processes": (int, 0, "processes that render and train; 0 for one for each core"),
+        "--seed": (int, 0, "seed of all random numbers"),
         "--device": (str, "auto", "auto, cpu, cuda"),
         **mesh_arguments(),
         "--distance": (distance, None, apart),
@@ -429,7 +429,7 @@ def evaluate_arguments() -> Arguments:
 
 
 def evaluate(options: Namespace) -> None:
-    """Measure a model against labels and against the mean pose."""
+    """Measure the errors of a network on labeled images, beside those of the mean pose."""
     from ffpose.datasets import Decoding
     from ffpose.evaluation.evaluate import evaluate as run
     from ffpose.evaluation.report.plots import write_evaluation_figures
@@ -537,7 +537,7 @@ def track_arguments() -> Arguments:
         **OUT,
         "--times": (Path, None, times),
         **TAKEN,
-        "--whole": (bool, False, "search each frame as a whole, as if without a track"),
+        "--whole": (bool, False, "search each frame as a whole, not where the track expects it"),
         "--settings": (Path, None, "JSON file of fields of ffpose.tracking.Settings"),
     }
 
@@ -723,11 +723,11 @@ def card_arguments() -> Arguments:
     from ffpose._internal.seeds import CHOICES
 
     weights = "weights file, a name such as soyuz, or an exported .onnx graph"
-    scene = "what it was made for: a set such as soyuz_hard, or the scene.json of ffpose learn"
-    seeds = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
-    final = "scenes of the seed that is kept for published figures, in place of --seed"
-    images = "folder that keeps the images: an interrupted card goes on"
-    out = "folder for card.json and card.md; one that holds this card is not measured again"
+    scene = "scenes of the weights: a set such as soyuz_hard, or the scene.json of ffpose learn"
+    seeds = f"seed of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
+    final = "render the seed that is kept for published figures, in place of --seed"
+    images = "folder that keeps the images, so that an interrupted card is continued"
+    out = "folder for card.json and card.md; a card that is there is not measured again"
     return {
         "weights": (Path, ..., weights),
         "--scene": (str, ..., scene),
@@ -737,7 +737,7 @@ def card_arguments() -> Arguments:
         "--final": (bool, False, final),
         "--workers": (int, 1, "processes that render"),
         "--images": (Path, None, images),
-        "--mitsuba": (bool, False, "images of the second renderer too, which is slow"),
+        "--mitsuba": (bool, False, "measure on images of the second renderer too, which is slow"),
         "--out": (Path, None, out),
         **JSON,
     }
@@ -789,8 +789,8 @@ def calibrate_arguments() -> Arguments:
 def calibrate(options: Namespace) -> None:
     """Calibrate distances, uncertainty and the flag of weights, and record it in their header.
 
-    The images are to be none that trained or validated: by default rendered scenes of seeds that
-    are kept for it. `train` does the same at its end.
+    Its images must not have been used in training or validation; by default they are rendered
+    scenes of seeds that are kept for calibration. `train` does the same at its end.
     """
     from ffpose.training.calibrate_weights import calibrate_weights
     from ffpose.training.config import CalibrationImages
@@ -812,17 +812,17 @@ def bench_arguments() -> Arguments:
 
     from ffpose.config import PRESETS
 
-    network = f"of a model: {', '.join(PRESETS)}, or weights (default: base; quick: tiny)"
-    graphs = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
+    network = f"with model: {', '.join(PRESETS)}, or weights (default: base; with --quick: tiny)"
+    graphs = "graphs to measure in turns with a model, in ONNX Runtime: an older or an int8 one"
     numbers = {"nargs": "+", "type": PositiveInt}
     return {
         "subject": ({"choices": ["filter", "model"]}, ..., "what to measure"),
         "network": ({"nargs": "?"}, None, network),
         "--json": (bool, False, "print every timing as JSON"),
         "--plot": (Path, None, "picture to draw, PNG"),
-        "--quick": (bool, False, "a first look in under a minute"),
-        "--batch": (numbers, None, "images a batch (default: 1 8)"),
-        "--threads": (numbers, None, "(default: 1, 2, all cores)"),
+        "--quick": (bool, False, "fewer and shorter measurements, under a minute"),
+        "--batch": (numbers, None, "images per batch (default: 1 8)"),
+        "--threads": (numbers, None, "numbers of threads (default: 1, 2, all cores)"),
         "--compare": ({"nargs": "+", "type": Path, "metavar": "GRAPH"}, None, graphs),
         **LOOKS,
     }
@@ -861,14 +861,16 @@ COMMANDS = {
     "learn": Command(
         "train a network for your own mesh", learn_arguments, learn, "pose,render,export"
     ),
-    "train": Command("train a model", train_arguments, train),
+    "train": Command("train a network on images", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict, "onnx"),
     "track": Command("track a spacecraft through a sequence", track_arguments, track),
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
-    "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
+    "calibrate": Command(
+        "calibrate a network's uncertainty", calibrate_arguments, calibrate, "pose,render"
+    ),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
-    "inspect": Command("check a set of images, or a mesh (render)", inspect_arguments, inspect),
+    "inspect": Command("check labeled images, or with [render] a mesh", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }
 

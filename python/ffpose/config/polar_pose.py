@@ -39,8 +39,8 @@ class PolarPoseConfig(NetworkConfig):
         first_stride: Downsampling factor from the network's input to the first look.
         first_reduction: Stride of the first look's feature map, pixels per cell.
         first_channels: Number of channels between that feature map and the heat map.
-        candidates: Number of peaks of the heat map that may be looked at; the likeliest is kept. A
-            look at one that cannot be is spent where the object was found.
+        candidates: Number of peaks of the heat map that may be looked at; the likeliest is kept.
+            Where a further peak cannot be likelier, that look goes where the object was found.
         object_size: ``(radii, angles)`` of the second look's polar image.
         object_width: Diameter of the polar image's outermost ring in pixels of the virtual camera.
         object_radius_m: Distance that the polar image covers, meters at the object.
@@ -54,26 +54,26 @@ class PolarPoseConfig(NetworkConfig):
         angles: Number of angles of the orientation bins, rotations about the viewing ray.
         directions: Number of viewing directions of the orientation bins.
         bins_width_deg: Standard deviation of the bins' soft labels, degrees.
-        looks: Number of second looks, those at all candidates counting as one; each further one is
-            pointed by the one before, and the pose is the mean of several; with 1 it is one look's.
+        looks: Number of second looks, those at all candidates counting as one. Each further look is
+            pointed by the one before. With 1 the pose is that of one look, else a mean of several.
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
-        truncation_distance: Correction of the distance with the share ``s`` of the view of
-            ``object_radius_m`` that the border of the frame cuts off, as an object of which less is
-            seen looks farther: it is multiplied by ``exp(-truncation_distance s²)``; found by
-            calibration.
+        truncation_distance: Correction of the distance of an object that the border of the frame
+            cuts, which is estimated too far: the translation is multiplied by
+            ``exp(-truncation_distance s²)``, where ``s`` is the share of the view of
+            ``object_radius_m`` that is cut off; found by calibration.
         doubt_sigma: Growth of the standard deviations of translation and rotation with the
             probability ``p`` that the attitude is not near the predicted one: they are multiplied
             by ``1 + doubt_sigma p``; found by calibration.
-        truncation_sigma: Their growth with that share: they are multiplied by
+        truncation_sigma: Growth of these standard deviations with ``s``: they are multiplied by
             ``1 + truncation_sigma s²``; found by calibration.
         degrees_of_freedom: Of the multivariate t distributions of the errors of translation and
             rotation, whose covariances the network predicts; found by calibration. None for
             Gaussian errors.
-        look_slope: Slopes across and along the viewing ray of the offset that one look at a given
-            point measures on the true offset, by which `ffpose.models.PolarPose.predict_near`
-            divides it; found by calibration.
+        look_slope: Slopes, across and along the viewing ray, of the offset that one look at a given
+            point measures against the true offset. `ffpose.models.PolarPose.predict_near` divides
+            the offset by them; found by calibration.
     """
 
     architecture: ClassVar[str] = "PolarPose"

@@ -176,7 +176,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
     Args:
         config: What to learn.
-        say: Is told what is under way.
+        say: Function that is called with messages on the progress.
 
     Returns:
         The summary of the test, with the constant pose's beside (`Evaluation.summary`); nothing in

@@ -4,14 +4,16 @@ The first look is a heat map of the downsampled frame (`ffpose.models.heat_map`)
 are candidates. A virtual camera is pointed at the highest (`ffpose.models.virtual_camera`), and its
 view, sampled in polar coordinates about the viewing ray, gives attitude, offset, uncertainty and
 whether the object is there (`ffpose.models.polar_second_look`). Where the next peak might still be
-likelier, that is looked at too, and the likelier of both is kept; where it cannot be, which is
-nearly always, that look is spent where the offset says that the object is. A last look goes there.
+likelier, the camera is pointed there too, and the likelier of both looks is kept; where it cannot
+be, which is nearly always, that look goes where the offset says that the object is. The last look
+goes there too.
 
-A look errs by how its cells happen to lie on the object. Looks are therefore turned about the
-viewing ray, of n looks each by an n-th of a cell more than the one before, and the attitude is the
-mean of those that agree with the last: most of what changes with the lie of the cells cancels. The
-position is the mean of the last two, the last of which has a view made for a greater distance,
-which shows the object larger. With ``looks`` 1 the likeliest look alone is the pose.
+The error of a look depends on how the cells of its feature map happen to lie on the object. Each of
+n looks is therefore rotated about the viewing ray by an n-th of a cell more than the one before,
+and the attitude is the mean of those that agree with the last look: most of the error that depends
+on the cells cancels. The position is the mean of the last two looks, the last of which has a view
+for a greater distance, which shows the object larger. With ``looks`` 1 the pose is that of the
+likeliest look alone.
 """
 
 from __future__ import annotations

@@ -33,10 +33,15 @@ INFINITE = "inf"
 """What stands for infinity in settings of JSON files and metadata."""
 
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
-"""What became of a frame: it corrected the track; another attitude leads from now on, as the frame
-speaks for it or none has for the one before (`Step.accepted`); it is too far from what was
-expected; it shows no spacecraft; there was no pose; there is no track yet; the track went too long
-without a frame that it could believe, or too many views spoke against it."""
+"""What became of a frame.
+
+``"accepted"``: it corrected the track. ``"switched"``: another attitude hypothesis leads from now
+on, because the frame supports it, or because no frame has supported the one before
+(`Step.accepted` tells which). ``"gated"``: its pose is too far from the predicted one.
+``"flagged"``: it shows no spacecraft. ``"coasted"``: there was no pose. ``"acquiring"``: there is
+no track yet. ``"lost"``: the track went too long without a frame that it could believe, or too many
+views contradicted it.
+"""
 
 
 @dataclass(frozen=True)
@@ -46,9 +51,9 @@ class Settings:
     Attributes:
         acceleration: White acceleration of the relative motion, m/s² per √Hz.
         angular_acceleration: White angular acceleration, deg/s² per √Hz.
-        asymmetry: What is not known of a free body's angular acceleration, as a share of the square
-            of its angular velocity, white over the time of a radian: about 0.12 while the inertia
-            is unknown, the relative error of a known one.
+        asymmetry: Uncertainty of a free body's angular acceleration, as a share of the square of
+            its angular velocity, white over the time in which it turns by a radian: about 0.12
+            while the inertia is unknown, or the relative error of a known inertia.
         inertia: Moments and products about the object's axes, ``(xx, yy, zz, xy, xz, yz)`` of any
             unit: the object turns as a free rigid body does, a sphere at a constant angular
             velocity.
@@ -60,17 +65,17 @@ class Settings:
         position_noise: Share of the position's variance that is new in each frame, above 0 to 1.
         attitude_noise: The same of the attitude's variance.
         gate: Squared Mahalanobis distance, of six degrees of freedom, above which a frame is not
-            believed; infinite for none.
+            believed; infinite for no gate.
         tails: Degrees of freedom of the errors' tails; frames far off count less. Infinite for
             Gaussian errors.
-        said_views: Independent views that count as much as the network's own covariances for how
-            large its errors are in a track (`Estimate.covariance`); infinite where its covariances
-            alone count.
-        ordinary_nis: Mean `Step.nis` of frames whose errors are as large as the network says: below
-            six, as what is new in a frame is counted larger than it is.
+        said_views: Weight of the network's own covariances against the NIS of the frames, by which
+            the covariance of a track (`Estimate.covariance`) is scaled: they count as much as so
+            many independent views. Infinite: they alone count.
+        ordinary_nis: Mean `Step.nis` of frames whose errors are as large as the network says. It is
+            below six, as the part of an error that is new in each frame is inflated.
         agreeing: Frames in agreement that make a track.
-        coasting: Seconds without a believed frame after which the track is lost, whether steps
-            without a pose tell them or none.
+        coasting: Seconds without a believed frame after which the track is lost, whether there were
+            steps without a pose in that time or no steps.
         orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
             keeps its attitude to the Earth: position and velocity then move as Clohessy and
             Wiltshire's equations say, and it is against the stars, not the camera, that a free
@@ -194,10 +199,10 @@ class Step:
         outcome: What became of it.
         accepted: Whether the frame corrected the track that leads.
         estimate: The motion at its time; None without a track.
-        nis: Squared Mahalanobis distance of its pose from what the track that led before it
-            expected, six degrees of freedom: the normalized innovation squared. None where none
-            did, or none does now, or there is no pose.
-        mode: Which of its orientations that track was compared with, 0 or 1; None as above.
+        nis: Normalized innovation squared: the squared Mahalanobis distance of the frame's pose
+            from the prediction of the track that led before, six degrees of freedom. None if no
+            track led before, none leads now, or there is no pose.
+        mode: Which of the frame's orientations that track was compared with, 0 or 1; None as above.
     """
 
     time: float
@@ -213,9 +218,10 @@ class Tracker:
 
     Args:
         settings: What it expects and how it decides.
-        symmetry: That modulo which the network tells attitudes (`PoseEstimator.metadata`): of those
-            of one look a track takes the nearest to its own. About an axis of any angle neither
-            attitude nor angular velocity is seen, and their standard deviations mean nothing.
+        symmetry: Symmetry modulo which the network estimates attitudes (`PoseEstimator.metadata`):
+            of the equivalent attitudes a track takes the one nearest to its own. About an axis of
+            any angle neither attitude nor angular velocity can be seen, and their standard
+            deviations mean nothing.
 
     Raises:
         ValueError: A setting is out of its range, or the symmetry is of no finite group.
@@ -243,7 +249,7 @@ class Tracker:
 
     @property
     def symmetry(self) -> SymmetryGroup:
-        """That modulo which poses tell attitudes."""
+        """Symmetry modulo which the poses' attitudes are known."""
         return self._symmetry
 
     @property
@@ -258,7 +264,7 @@ class Tracker:
         *,
         camera_rate: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Step:
-        """Move on to the time of a frame, and take in what it says.
+        """Advance to the time of a frame, and update with its pose.
 
         Args:
             time: Middle of the exposure, seconds; later than the frame before. Where no track leads
@@ -294,15 +300,16 @@ class Tracker:
 
     @property
     def alternative(self) -> Estimate | None:
-        """The next best attitude that frames have agreed on; None if there is none."""
+        """Estimate with the next best attitude that frames agreed on; None if there is none."""
         told = self._tracker.alternative()
         return None if told is None else _estimate(told)
 
     def state(self, model: bytes = b"") -> bytes:
         """Return the tracker as bytes, exact, for `from_state`.
 
-        ``model`` tells the network from others, as the bytes of its file; its digest is kept. So it
-        is in the states of ``ffpose-onboard``, but with ``--camera`` or ``--resize``.
+        ``model`` identifies the network, as by the bytes of its file; its digest is kept.
+        ``ffpose-onboard`` writes the same into its state files, unless it has ``--camera`` or
+        ``--resize``.
         """
         return self._tracker.state(hashlib.sha256(model).digest())
 

@@ -1,18 +1,18 @@
 """Calibration of a network's distances and of its uncertainty on held-out images.
 
 Translations are scaled by one factor, such that the median error of the logarithm of the distance
-is zero. An object that the border of the frame cuts looks farther than it is: the logarithm of its
+is zero. An object that the border of the frame cuts is estimated too far: the logarithm of its
 distance is reduced by a multiple of the squared share of its view that is cut off, the one with the
-least absolute errors. Looks at points about the object tell by how much their offset follows the
-true one. The errors of translation, and those of rotation, are taken for multivariate t distributed
-(Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", JASA 1989): most
-are as small as the network says, and some are much larger. Those of the rotation are so about
-either of two modes, told with their probabilities: the network may not know which of two sides that
-look alike it sees. Found by maximum likelihood are the degrees of freedom, a scale of the
-covariances, and how the standard deviations grow with the network's own doubt of the attitude, the
-probability that its bins give to attitudes far from the most likely one, and with the squared share
-that is cut off. This is the analog of temperature scaling for probabilities (Guo et al., "On
-Calibration of Modern Neural Networks", ICML 2017). The covariances are then those of the t
+least absolute errors. Looks that are pointed beside the object measure how closely the offset that
+they find follows the true one. The errors of translation, and those of rotation, are modeled as
+multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using the t
+Distribution", JASA 1989): most are as small as the network says, and some are much larger. Those of
+the rotation are so about either of two modes with given probabilities: the network may not know
+which of two sides that look alike it sees. Found by maximum likelihood are the degrees of freedom,
+a scale of the covariances, and how the standard deviations grow with the network's own doubt of the
+attitude, the probability that its bins give to attitudes far from the most likely one, and with the
+squared share that is cut off. This is the analog of temperature scaling for probabilities (Guo et
+al., "On Calibration of Modern Neural Networks", ICML 2017). The covariances are then those of the t
 distributions, not their scale matrices. Errors of heavily truncated objects are not quite t
 distributed: the growth with truncation is found anew, such that their confidence regions have the
 nominal coverage (as in conformal prediction).

@@ -31,8 +31,8 @@ class CalibrationImages:
             kind (whole, cut, randomized, low sun, other spacecraft) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name or file of the rendered set; None for the first that the
-            weights were trained on. Where they were trained on it, what is below is as in that
-            training where it is not told.
+            weights were trained on. For a set that they were trained on, kinds, distances and
+            attitudes that are not given are those of the training.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects of which the border leaves 30 to 60 % too.
@@ -42,7 +42,7 @@ class CalibrationImages:
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
         split: Name of the split of a set on disk.
         start: Index of the first image that is used of the split.
-        step: Every how many images one is used, from ``start`` on.
+        step: Every ``step``-th image is used, from ``start`` on.
         undistort: Whether to undistort the images of cameras with distortion.
         white: As in `DataConfig`.
         workers: Number of processes that render.
@@ -117,8 +117,8 @@ class DataConfig:
             for each.
         validation: For kind "scenes": number of whole images that select the best epoch.
         calibration: For kind "scenes": number of images of each kind that calibrate a network with
-            a second look: of the first of the sets, of each kind that training sees, and without
-            the object. Of a set on disk every other image that would validate calibrates instead.
+            a second look. They are of the first of the sets, of each kind that training sees, and
+            of other spacecraft. In a set on disk every other validation image calibrates instead.
         empty: For kind "scenes": number of images without the spacecraft, negatives for a network
             with a second look.
         decoys: For kind "scenes": number of images of other spacecraft, negatives too.
@@ -127,8 +127,8 @@ class DataConfig:
             light, materials and backgrounds.
         dusk: For kind "scenes": number of images of each set in the light of a low sun over dark
             ground, where most large errors are made.
-        distance: For kind "scenes": factors on the least and the greatest distance of the sets,
-            which training and calibration see beyond; validation does not.
+        distance: For kind "scenes": factors on the least and the greatest distance of the sets, in
+            training and calibration; validation has the sets' own distances.
         seed: For kind "scenes": seed of the first set, of `ffpose._internal.seeds.TRAINING`; those
             of the others count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
@@ -342,8 +342,8 @@ class PatchAugmentation:
         blur: Largest weight of a copy at half the resolution that is blended in.
         jpeg: Fraction of the second look's images that went through a JPEG file, of a quality from
             30 to 90.
-        monochrome: Fraction of the images of either look that are as a camera without colors has
-            them: of three random weights of the colors each, noise included.
+        monochrome: Fraction of the images of either look that are made gray, as from a camera
+            without colors: by three random weights of the colors for each image, noise included.
         empty: Fraction of samples without the object.
         frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
@@ -396,8 +396,8 @@ class TrainConfig:
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"
-            is that on a GPU, and on a processor that has instructions for it: on another, which
-            has to convert, steps take several times as long.
+            is "bfloat16" on a GPU, and on a processor that has instructions for it: on another,
+            which has to convert, steps take several times as long.
         init: Weights to start from, a file or a name such as soyuz, of the same architecture.
         init_share: Share of the initial weights in those that are validated and saved, such as 0.5
             where fine-tuning on a few images must not lose what was learned before (WiSE-FT). It
