@@ -228,6 +228,17 @@ def test_a_tiff_whose_levels_pillow_takes_for_others_is_refused(tmp_path):
         read_rgb(path)
 
 
+def test_a_fits_file_is_refused(tmp_path):
+    """Levels of 16 bits are stored less 32,768 (FITS 4.0, table 11): Pillow leaves that out."""
+    axes = {"SIMPLE": "T", "BITPIX": 16, "NAXIS": 2, "NAXIS1": 4, "NAXIS2": 3, "BZERO": 32768}
+    cards = [f"{name:<8}= {value:>20}".ljust(80) for name, value in axes.items()]
+    header = "".join([*cards, "END"]).ljust(2880).encode()
+    stored = (RAMP - 32768).astype(">i2").tobytes()
+    (tmp_path / "a.fits").write_bytes(header + stored.ljust(2880, b"\0"))
+    with pytest.raises(DataError, match="expected levels as they are, as in PNG or TIFF, got FITS"):
+        read_rgb(tmp_path / "a.fits", white=11)
+
+
 @pytest.mark.parametrize("turned", [3, 6])
 def test_a_tiff_that_pillow_would_turn_is_refused(turned, tmp_path):
     """By half a turn its size is that of the file."""

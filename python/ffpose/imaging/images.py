@@ -148,7 +148,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         DataError: The file is not an image, or is damaged, or declares more than `MAX_PIXELS`; also
             if this shows within the block. Or it is a folder, or a pipe, which might never end, or
             a JPEG 2000 file of more than 8 bits, but for 16 of gray; or a TIFF to be turned, of
-            more than 8 bits whose white is 0, or of 8 with a sign.
+            more than 8 bits whose white is 0, or of 8 with a sign; or a FITS file.
     """
     if path.exists() and not path.is_file():
         got = "a folder" if path.is_dir() else "a pipe or a device"
@@ -159,6 +159,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
                 raise _too_large(image.width * image.height, path)
             if image.format == "TIFF":
                 _check_tiff(image, path)
+            if image.format == "FITS":  # Pillow leaves out their sign, BZERO and BSCALE
+                raise DataError("expected levels as they are, as in PNG or TIFF, got FITS", path)
             bits = _jpeg2000_bits(path) if image.format == "JPEG2000" else 8
             if bits > 8 and (bits, image.mode) != (16, "I;16"):  # Pillow moves levels, or cuts them
                 expected = "a JPEG 2000 file of 8 bits per channel, or of one channel of 16"
