@@ -211,6 +211,34 @@ def test_pixels_are_as_stored_whatever_a_viewer_is_told(tmp_path):
     assert read_rgb(tmp_path / "turned.jpg").size == (32, 16)
 
 
+def test_a_tiff_whose_levels_pillow_takes_for_others_is_refused(tmp_path):
+    """White is 0 where TIFF 6.0's tag 262 is 0: Pillow inverts images of 8 bits, not of 16."""
+    black, white = (struct.pack("<HHII", 262, 3, 1, level) for level in (1, 0))
+    for dtype, name in ((np.uint16, "deep.tiff"), (np.uint8, "gray.tiff")):
+        levels = RAMP.astype(dtype)
+        path = written(tmp_path, levels, name)
+        stored = path.read_bytes()
+        assert stored.count(black) == 1
+        path.write_bytes(stored.replace(black, white))
+    assert (np.asarray(read_rgb(path))[..., 0] == 255 - levels).all()
+    with pytest.raises(DataError, match="expected level 0 to be black, got a TIFF of more than"):
+        read_rgb(tmp_path / "deep.tiff", white=4095)
+    Image.fromarray(levels).save(path, tiffinfo={339: 2})  # of -128 to 127
+    with pytest.raises(DataError, match="expected levels from 0 to 255, got a TIFF of levels with"):
+        read_rgb(path)
+
+
+def test_a_fits_file_is_refused(tmp_path):
+    """Levels of 16 bits are stored less 32,768 (FITS 4.0, table 11): Pillow leaves that out."""
+    axes = {"SIMPLE": "T", "BITPIX": 16, "NAXIS": 2, "NAXIS1": 4, "NAXIS2": 3, "BZERO": 32768}
+    cards = [f"{name:<8}= {value:>20}".ljust(80) for name, value in axes.items()]
+    header = "".join([*cards, "END"]).ljust(2880).encode()
+    stored = (RAMP - 32768).astype(">i2").tobytes()
+    (tmp_path / "a.fits").write_bytes(header + stored.ljust(2880, b"\0"))
+    with pytest.raises(DataError, match="expected levels as they are, as in PNG or TIFF, got FITS"):
+        read_rgb(tmp_path / "a.fits", white=11)
+
+
 @pytest.mark.parametrize("turned", [3, 6])
 def test_a_tiff_that_pillow_would_turn_is_refused(turned, tmp_path):
     """By half a turn its size is that of the file."""

@@ -222,13 +222,15 @@ pose = estimator(image)
 child = os.fork()
 if child == 0:
     signal.alarm(100)  # where it waits, it ends by this signal
-    os._exit(0 if np.array_equal(estimator(image).t, pose.t) else 1)
+    same = np.array_equal(estimator(image).t, pose.t)
+    del estimator
+    os._exit(0 if same else 1)
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
-def test_a_session_of_onnx_runtime_gives_its_pose_in_a_forked_child():
+def test_a_session_of_onnx_runtime_gives_its_pose_in_a_forked_child_and_ends():
     pytest.importorskip("onnxruntime")
     command = [sys.executable, "-W", "ignore", "-c", FORK_WITH_SESSION]
     assert subprocess.run(command, timeout=120, check=False).returncode == 0

@@ -17,7 +17,14 @@ from ffpose.imaging.undistortion import undistort
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
-from ffpose.inference.prediction import Failure, Prediction, expect_axes, predict, write_overlay
+from ffpose.inference.prediction import (
+    Failure,
+    Prediction,
+    expect_axes,
+    expect_distinct_overlays,
+    predict,
+    write_overlay,
+)
 from ffpose.models import FilterformerPose, FilterformerPoseConfig, PosePrediction, WeightsMetadata
 
 VIEW = Camera(64, 64, 50.0, 60.0, 30.0, 33.0)
@@ -461,6 +468,19 @@ def test_axes_are_drawn_where_the_camera_is_known(weights, picture, tmp_path):
         expect_axes(load(weights))
     with pytest.raises(ValueError, match="expected one with a camera, got camera None"):
         write_overlay(Prediction(picture, AHEAD), tmp_path)
+
+
+def test_a_link_to_itself_is_a_failure_of_its_own(weights, picture, tmp_path):
+    circle = tmp_path / "circle.png"
+    circle.symlink_to(circle.name)
+    expect_distinct_overlays([circle, picture], tmp_path / "drawn")
+    failure, prediction = predict(load(weights), [circle, picture])
+    assert isinstance(failure, Failure)
+    assert isinstance(prediction, Prediction)
+    link = tmp_path / "link.png"
+    link.symlink_to(picture)
+    with pytest.raises(ValueError, match="would overwrite"):
+        expect_distinct_overlays([link, tmp_path / "link_pose.png"], tmp_path)
 
 
 def test_weights_locate_an_object_or_the_camera(tmp_path):

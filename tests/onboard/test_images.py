@@ -80,7 +80,7 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
 
 
 def test_a_folder_has_the_images_that_it_has_for_python(run, folder, model):
-    names = ("b.PNG", "a.jpeg", "c.jpg", "B.pgm", "d.ppm", "png", "labels.csv", ".png")
+    names = ("b.PNG", "a.jpeg", "c.jpg", "B.pgm", "d.ppm", "png", "labels.csv", ".png", "._c.jpg")
     images = folder(dict.fromkeys(names, b""))
     _, documents, _ = run(model, "--images", images)
     assert [document["image"] for document in documents] == [

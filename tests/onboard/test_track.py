@@ -700,16 +700,22 @@ def test_null_pointers_are_named(library, opened):
         assert library.ffpose_error() == b"handle: expected a pointer, got null"
 
 
-def test_a_destructor_of_a_thread_may_call(program, runtime, models, tmp_path):
-    """After the thread's own sentence is gone: codes come back, and nothing ends the process."""
+def compiled(program, folder, text):
+    """A program in C++ of this text, linked with the library."""
     if not shutil.which("c++"):
         pytest.skip("no C++ compiler is installed")
-    source, path = tmp_path / "late.cc", tmp_path / "late"
-    source.write_text(LATE)
+    source, path = folder / "host.cc", folder / "host"
+    source.write_text(text)
     library = program.parent
     command = ["c++", "-std=c++17", "-pthread", "-o", path, source, f"-I{CRATE / 'include'}"]
     command += [f"-L{library}", "-lffpose_onboard", f"-Wl,-rpath,{library}"]
     subprocess.run(command, check=True)
+    return path
+
+
+def test_a_destructor_of_a_thread_may_call(program, runtime, models, tmp_path):
+    """After the thread's own sentence is gone: codes come back, and nothing ends the process."""
+    path = compiled(program, tmp_path, LATE)
     done = subprocess.run([path, models, runtime], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "2 1\n0\n2 \n"), done.stderr
 
@@ -743,6 +749,44 @@ int main(int, char **words) {
     std::printf("%d\\n", ffpose_open(&settings, &owner.handle));
   });
   thread.join();
+  return 0;
+}
+"""
+
+
+def test_a_forked_process_may_close_what_it_was_forked_with(program, runtime, models, tmp_path):
+    path = compiled(program, tmp_path, FORKED)
+    done = subprocess.run([path, models, runtime], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "0 0 0 0 0 0 0 0 "), done.stderr
+
+
+FORKED = """
+#include <cstdio>
+#include <sys/wait.h>
+#include <unistd.h>
+#include "ffpose_onboard.h"
+
+int main(int, char **words) {
+  ffpose_settings settings = {};
+  settings.model = words[1];
+  settings.runtime = words[2];
+  settings.threads = 2;
+  ffpose *handle = nullptr;
+  if (ffpose_open(&settings, &handle) != FFPOSE_OK) return 1;
+  for (int child = 0; child < 8; child++) {
+    pid_t id = fork();
+    if (id == 0) {
+      alarm(20); // where it waits, it ends by this signal
+      ffpose_motion motion;
+      int code = ffpose_track(handle, 1, nullptr, 0, &motion);
+      ffpose_close(handle);
+      _exit(code);
+    }
+    int status;
+    waitpid(id, &status, 0);
+    std::printf("%d ", status);
+  }
+  ffpose_close(handle);
   return 0;
 }
 """

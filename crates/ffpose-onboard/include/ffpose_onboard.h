@@ -6,7 +6,11 @@
  *
  * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence, in which options of the
  * program (--camera, --operators, ...) stand for the fields of their names. Nothing is thrown.
- * Nothing is printed but where a panic was, on standard error. Nothing ends the process but a lack of memory. Paths are UTF-8.
+ * Nothing is printed but where a panic was, on standard error. Nothing ends the process but a lack of memory or of stack, of which 256 KiB
+ * are enough for the shipped networks, and pthread_cancel of a thread within a call. Paths are UTF-8.
+ *
+ * In a forked process a handle of the parent's goes on, on one thread, and ffpose_close does not give its memory back. That process has to
+ * leave by _exit, as at exit ONNX Runtime waits for a thread of the parent's.
  */
 #ifndef FFPOSE_ONBOARD_H
 #define FFPOSE_ONBOARD_H

@@ -6,8 +6,10 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::ffi::{CStr, CString, c_char};
+use std::mem;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::process;
 use std::ptr::without_provenance_mut;
 use std::slice;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -92,6 +94,8 @@ pub struct Ffpose;
 struct Opened {
     estimator: Estimator,
     track: Track,
+    /// The process that opened it: none that was forked from it.
+    process: u32,
 }
 
 /// What is open, by its handle's number.
@@ -184,7 +188,7 @@ pub unsafe extern "C" fn ffpose_open(
         let (setup, settings) = unsafe { setup(&*settings) }?;
         let estimator = Estimator::open(&setup)?;
         let track = Track::new(&estimator, settings.as_deref())?;
-        let opened = Arc::new(Mutex::new(Opened { estimator, track }));
+        let opened = Arc::new(Mutex::new(Opened { estimator, track, process: process::id() }));
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         OPENED.lock().unwrap_or_else(PoisonError::into_inner).insert(number, opened);
         // SAFETY: not null, aligned, and valid for a write as the caller says.
@@ -198,7 +202,13 @@ pub unsafe extern "C" fn ffpose_open(
 pub extern "C" fn ffpose_close(handle: *mut Ffpose) {
     guarded(|| {
         let opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner).remove(&handle.addr());
-        drop(opened); // or at the end of the call that another thread is in
+        let other =
+            |one: &Arc<Mutex<Opened>>| one.try_lock().is_ok_and(|one| one.process != process::id());
+        if opened.as_ref().is_some_and(other) {
+            mem::forget(opened); // ONNX Runtime would wait for threads that a forked process has not
+        } else {
+            drop(opened); // or at the end of the call that another thread is in
+        }
         Ok(OK)
     });
 }
@@ -248,7 +258,7 @@ pub unsafe extern "C" fn ffpose_track(
     motion: *mut FfposeMotion,
 ) -> i32 {
     guarded(|| {
-        with(handle, |Opened { estimator, track }| {
+        with(handle, |Opened { estimator, track, .. }| {
             expect_pointer("motion", motion)?;
             let deadline = deadline(seconds)?;
             estimator.expect_uncertainty()?;

@@ -49,9 +49,11 @@ pub fn expect_no_camera(folder: &Path) -> Result<()> {
     )))
 }
 
+/// Whether a path has the ending of an image, and is not hidden, as what macOS leaves beside each file.
 fn is_image(path: &Path) -> bool {
+    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
-    ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
+    !is_hidden && ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
 /// The lines of an input, each a path in UTF-8.
@@ -166,6 +168,7 @@ mod tests {
             [("a.PNG", true), ("a.pgm", true), ("b.jpeg", true), ("gt.csv", false), ("png", false)]
         {
             assert_eq!(is_image(Path::new(name)), expected, "{name}");
+            assert!(!is_image(&Path::new("a").join(format!("._{name}"))));
         }
     }
 }

@@ -37,6 +37,9 @@ PATTERN = re.compile(r"[*?[]")
 ORIENTATION = 0x0112
 """Tag of a TIFF by which viewers, and Pillow as it decodes one, turn the pixels."""
 
+PHOTOMETRIC, SAMPLE_FORMAT = 0x0106, 0x0153
+"""Tags of a TIFF: 0 of the one, white is 0; 2 of the other, levels have a sign."""
+
 MAX_PIXELS = 2**28 // 3
 """Most pixels of an image file: 256 MiB as RGB, where Pillow begins to warn of hostile files."""
 
@@ -144,7 +147,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         FileNotFoundError: The file does not exist.
         DataError: The file is not an image, or is damaged, or declares more than `MAX_PIXELS`; also
             if this shows within the block. Or it is a folder, or a pipe, which might never end, or
-            a JPEG 2000 file of more than 8 bits, but for 16 of gray.
+            a JPEG 2000 file of more than 8 bits, but for 16 of gray; or a TIFF to be turned, of
+            more than 8 bits whose white is 0, or of 8 with a sign; or a FITS file.
     """
     if path.exists() and not path.is_file():
         got = "a folder" if path.is_dir() else "a pipe or a device"
@@ -153,10 +157,10 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         with Image.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise _too_large(image.width * image.height, path)
-            turned = image.getexif().get(ORIENTATION, 1) if image.format == "TIFF" else 1
-            if turned != 1:
-                got = f"a TIFF to be turned, of orientation {turned} instead of 1"
-                raise DataError(f"expected pixels as they are stored, got {got}", path)
+            if image.format == "TIFF":
+                _check_tiff(image, path)
+            if image.format == "FITS":  # Pillow leaves out their sign, BZERO and BSCALE
+                raise DataError("expected levels as they are, as in PNG or TIFF, got FITS", path)
             bits = _jpeg2000_bits(path) if image.format == "JPEG2000" else 8
             if bits > 8 and (bits, image.mode) != (16, "I;16"):  # Pillow moves levels, or cuts them
                 expected = "a JPEG 2000 file of 8 bits per channel, or of one channel of 16"
@@ -169,6 +173,20 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         raise _too_large(int(found[0]) if found else None, path) from error
     except (OSError, SyntaxError, ValueError) as error:  # SyntaxError: a broken PNG chunk
         raise DataError(f"cannot be read as an image: {error}", path) from error
+
+
+def _check_tiff(image: Image.Image, path: Path) -> None:
+    """Refuse a TIFF that Pillow would turn, or whose levels it would take for others."""
+    tags = image.getexif()
+    turned = tags.get(ORIENTATION, 1)
+    if turned != 1:
+        got = f"a TIFF to be turned, of orientation {turned} instead of 1"
+        raise DataError(f"expected pixels as they are stored, got {got}", path)
+    if image.mode in DEEP_MODES and tags.get(PHOTOMETRIC) == 0:  # Pillow inverts 8 bits alone
+        got = "a TIFF of more than 8 bits where it is white"
+        raise DataError(f"expected level 0 to be black, got {got}", path)
+    if image.mode == "L" and tags.get(SAMPLE_FORMAT) == 2:
+        raise DataError("expected levels from 0 to 255, got a TIFF of levels with a sign", path)
 
 
 def _too_large(pixels: int | None, path: Path) -> DataError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -215,7 +216,7 @@ def expect_axes(estimator: PoseEstimator) -> None:
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
     """Raise a ValueError if an overlay would overwrite another, or an image."""
     first: dict[Path, Path] = {}
-    known = {image.resolve() for image in images}
+    known = {os.path.realpath(image) for image in images}  # of links in a circle, too
     for image in images:
         path = overlay_path(image, folder)
         other = first.setdefault(path, image)
@@ -224,7 +225,7 @@ def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
                 f"overlay: expected images of distinct names, got {other} and {image}, both for"
                 f" {path}"
             )
-        if path.resolve() in known:
+        if os.path.realpath(path) in known:
             raise ValueError(
                 f"overlay: expected a folder without the images, got {folder}, where that of"
                 f" {image} would overwrite {path}"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import platform
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
+from weakref import WeakSet
 
 from numpy.typing import NDArray
 
@@ -19,6 +22,19 @@ Runtime = Literal["onnxruntime", "openvino"]
 Precision = Literal["float32", "bfloat16"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+_OPENED: WeakSet[Any] = WeakSet()
+"""ONNX Runtime's sessions of this process."""
+
+
+def _keep_in_child() -> None:
+    """Keep the parent's sessions for ever: their end waits for threads that a child has not."""
+    for session in _OPENED:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(session))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_keep_in_child)
 
 
 class Session(Protocol):
@@ -115,6 +131,7 @@ class OnnxRuntimeSession:
             self.session = runtime.InferenceSession(graph, options, providers=wanted)
         except Exception as error:  # as above
             raise RuntimeError(f"ONNX Runtime cannot load {model}: {error}") from error
+        _OPENED.add(self.session)
         self.inputs = [value.name for value in self.session.get_inputs()]
         self.outputs = [output.name for output in self.session.get_outputs()]
 
