@@ -69,7 +69,7 @@ class CalibrationImages:
         expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
         expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
         expect_least(self, "data.", count=2, start=0, step=1, workers=0)
-        rendered = ("scene", "seed", "count", "cut", "randomized", "dusk", "distance")
+        rendered = ("scene", "seed", "count", *VARIANTS, "distance", "attitude_range_deg")
         if self.kind == "scenes":
             _expect_unchanged(self, ("split", "start", "step", "undistort", "white"), "scenes")
         else:
@@ -195,7 +195,7 @@ class DataConfig:
     @property
     def calibration_images(self) -> CalibrationImages:
         """The images that calibrate a network with a second look; no others train or validate."""
-        same = ("kind", "root", "attitude_range_deg", "undistort", "white", "workers")
+        same = ("kind", "root", "undistort", "white", "workers")
         images = CalibrationImages(**{name: getattr(self, name) for name in same})
         if self.kind == "scenes":
             return replace(
@@ -204,6 +204,7 @@ class DataConfig:
                 seed=matching(CALIBRATION, self.seed),
                 count=self.calibration,
                 distance=self.distance,
+                attitude_range_deg=self.attitude_range_deg,
                 **{kind: getattr(self, kind) > 0 for kind in VARIANTS},
             )
         if self.holdout:
