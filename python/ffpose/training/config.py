@@ -94,7 +94,7 @@ class DataConfig:
         root: Folder of the image set.
         mode: Conversion of an image to the network's input: "resize", the whole frame, or
             "center_crop", the paper's resize and center crop.
-        augment: Whether to augment the training images.
+        augment: Whether to augment the training images of a network that looks at the frame alone.
         augmentation: Fields of `ffpose.imaging.transforms.Augmentation` to change, as in ``{roll:
             10}``.
         cache: Whether to store decoded and resized images in a file that later runs share.
