@@ -435,13 +435,14 @@ def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, c
     (tmp_path / "paint").mkdir()
     Image.new("RGB", (4, 2), "red").save(tmp_path / "paint" / "solar panel.png")
     Image.new("RGB", (2, 2), "red").save(tmp_path / "panel.png")
-    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on -blendu off solar panel.png\n"
+    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on -blendu off -colorspace sRGB solar panel.png\n"
     (tmp_path / "paint" / "a.mtl").write_text(line)
     text = "mtllib paint/a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
     (tmp_path / "a.obj").write_text(text)
     image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
     assert (image.width, image.height) == (4, 2)
-    assert "a.obj: options of a texture are left out: -blendu off\n" in caplog.text
+    left_out = "-blendu off -colorspace sRGB"
+    assert f"a.obj: options of a texture are left out: {left_out}\n" in caplog.text
 
 
 def test_options_of_textures_scale_move_and_clamp_them(tmp_path):

@@ -26,7 +26,8 @@ logger = logging.getLogger(__name__)
 Fields = Mapping[str, str]
 """What follows the keywords of a material, which are in small letters."""
 
-OPTION = r"-[a-z]+(?:\s+(?:[-+.\d][-+.\de]*|on|off|[rgbmlz]))+\s+"
+VALUES = r"(?:\s+(?:[-+.\d][-+.\de]*|on|off|[rgbmlz]))+"
+OPTION = rf"(?:-colorspace\s+\S+|-[a-z]+{VALUES})\s+"
 OPTIONS = re.compile(rf"^(?:{OPTION})+")
 """What stands before a texture's name."""
 
