@@ -936,11 +936,13 @@ def declare_fields(parser: ArgumentParser, name: str) -> None:
 
 
 def words_of(name: str, words: Sequence[str]) -> list[str]:
-    """Return the words of a command as its parser takes them; an ArgumentError if misspelled."""
+    """Return the words of a command as its parser takes them; an ArgumentError if wrong."""
     if name in ("train", "calibrate"):
-        from ffpose.training.options import read_words
+        from ffpose.training.options import expect_heeded, read_words
 
-        return read_words(words)
+        found = read_words(words)
+        expect_heeded(words)
+        return found
     check_spelling(words)
     return list(words)
 

@@ -47,6 +47,7 @@ def test_labels_are_in_the_conventions_of_the_package(root):
 def test_hidden_files_folders_and_keypoints_are_no_splits(root):
     (root / "._train.csv").write_text("what macOS leaves")
     (root / "points.csv").write_text("name, x, y, z\ntop, 0, 0, 1\n")
+    (root / "quoted.csv").write_text('"name","x","y","z"\n"top",0,0,1\n')
     (root / "old.csv").mkdir()
     assert list_splits("csv", root) == ["train", "flight 7"]
 

@@ -103,6 +103,10 @@ def test_flat_names_reach_into_groups():
             lambda: CalibrationImages("csv", count=5),
             "data.count: expected 200 with kind csv, got 5",
         ),
+        (
+            lambda: CalibrationImages("csv", attitude_range_deg=(30.0, 30.0, 30.0)),
+            r"data.attitude_range_deg: expected \(180.0, .*\) with kind csv, got \(30.0",
+        ),
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
         (lambda: DataConfig("scenes", Path(), seed=10**6), "0 to 999999, .* got 1000000"),
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),

@@ -1,9 +1,11 @@
 """One style of options: what a field is, it is called by, and what it was called is refused."""
 
+from argparse import ArgumentError
+
 import pytest
 
-from ffpose.cli import build_parser, main
-from ffpose.training.options import read_words, to_config
+from ffpose.cli import build_parser, main, words_of
+from ffpose.training.options import to_config
 from option_words import changes_of, options_of
 from studies.changes import read_changes
 
@@ -13,7 +15,7 @@ REQUIRED = ["--data.kind", "urso", "--data.root", "set", "--out", "run"]
 def parsed(*words):
     """Return the configuration of a command line."""
     parser = build_parser("train")
-    values = vars(parser.instantiate(parser.parse_args(read_words([*REQUIRED, *words]))))
+    values = vars(parser.instantiate(parser.parse_args(words_of("train", [*REQUIRED, *words]))))
     return to_config({k: v for k, v in values.items() if k not in ("config", "resume", "debug")})
 
 
@@ -50,10 +52,46 @@ def test_the_papers_images_are_two_fields_of_data():
 
 
 def test_lists_have_commas():
-    config = parsed("--data.kind", "scenes", "--data.scene", "a+b", "--data.count", "3000,2000")
+    scenes = ["--data.kind", "scenes", "--data.scene", "a+b", "--data.count", "3000,2000"]
+    config = parsed(*scenes, "--data.attitude-range-deg=1,2,3")
     assert config.data.counts == [3000, 2000]
-    assert parsed("--data.attitude-range-deg=1,2,3").data.attitude_range_deg == (1, 2, 3)
+    assert config.data.attitude_range_deg == (1, 2, 3)
     assert parsed("--data.root", "a,b").data.root.name == "a,b"
+
+
+SCENES, CSV = ["--data.kind", "scenes"], ["--data.kind=csv"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (
+            [*CSV, "--data.count", "5"],
+            "--data.count: expected with --data.kind scenes, got it .*csv",
+        ),
+        (["--data.attitude-range-deg=1,2,3"], "expected with --data.kind scenes, got it with urso"),
+        ([*SCENES, "--data.val-split", "a"], "expected with a set on disk, got it with scenes"),
+        (["--views.jpeg", "0.3"], "expected with a network that looks twice, got it with base"),
+        (["--model", "tiny", "--object-loss.mask=0"], "a network that looks twice, got .*tiny"),
+        (["--model=polar", "--loss.antipodal"], "a network that looks once, got it with polar"),
+        (["--config", "{}", "--data.augmentation.roll=9"], "looks once, got it with polar"),
+    ],
+)
+def test_options_that_the_images_or_the_network_do_not_heed_are_refused(tmp_path, words, expected):
+    path = tmp_path / "run.yaml"
+    path.write_text("model: {name: polar}\ndata: {kind: scenes, count: 7}\nviews: {jpeg: 0.5}\n")
+    with pytest.raises(ArgumentError, match=expected):
+        parsed(*(word.format(path) for word in words))
+
+
+def test_a_file_has_fields_of_other_images_and_networks_too(tmp_path):
+    """As that of a run on rendered scenes, from which a training on real images goes on."""
+    path = tmp_path / "run.yaml"
+    path.write_text("model: {name: polar}\ndata: {kind: scenes, count: 7}\nviews: {jpeg: 0.5}\n")
+    tuned = parsed("--config", str(path), *CSV, "--object-loss.mask", "0", "--data.val-split", "b")
+    assert (tuned.data.kind, tuned.data.val_split, tuned.views.jpeg) == ("csv", "b", 0.5)
+    assert parsed("--config", str(path), "--model", "tiny", "--loss.s-t", "0").views.jpeg == 0.5
+    assert parsed(*CSV, "--config", str(path), "--data.count", "5").data.counts == [5]
 
 
 def test_what_is_true_is_a_switch():

@@ -16,6 +16,7 @@ split. Columns, in any order:
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -55,7 +56,8 @@ def splits(root: Path) -> list[str]:
 def _has_keypoints(path: Path) -> bool:
     """Return whether a table's header is that of `read_keypoints`."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        return {name.strip() for name in file.readline().split(",")} == set(KEYPOINT)
+        names = next(csv.reader([file.readline()]), [])
+        return {name.strip() for name in names} == set(KEYPOINT)
 
 
 def read(root: Path, split: str) -> list[Record]:

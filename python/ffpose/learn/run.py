@@ -207,8 +207,6 @@ def _leading(group: Processes) -> Iterator[Callable[[TrainConfig], TrainResult]]
 
     def train_together(config: TrainConfig) -> TrainResult:
         nonlocal free
-        if group.world > 1:
-            config = replace(config, processes=1)  # which are started already
         group.same(config)
         free = False  # where a training fails, it does in all
         result = train(config, resume=True)

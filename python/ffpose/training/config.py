@@ -69,7 +69,7 @@ class CalibrationImages:
         expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
         expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
         expect_least(self, "data.", count=2, start=0, step=1, workers=0)
-        rendered = ("scene", "seed", "count", "cut", "randomized", "dusk", "distance")
+        rendered = ("scene", "seed", "count", *VARIANTS, "distance", "attitude_range_deg")
         if self.kind == "scenes":
             _expect_unchanged(self, ("split", "start", "step", "undistort", "white"), "scenes")
         else:
@@ -94,7 +94,7 @@ class DataConfig:
         root: Folder of the image set.
         mode: Conversion of an image to the network's input: "resize", the whole frame, or
             "center_crop", the paper's resize and center crop.
-        augment: Whether to augment the training images.
+        augment: Whether to augment the training images of a network that looks at the frame alone.
         augmentation: Fields of `ffpose.imaging.transforms.Augmentation` to change, as in ``{roll:
             10}``.
         cache: Whether to store decoded and resized images in a file that later runs share.
@@ -195,7 +195,7 @@ class DataConfig:
     @property
     def calibration_images(self) -> CalibrationImages:
         """The images that calibrate a network with a second look; no others train or validate."""
-        same = ("kind", "root", "attitude_range_deg", "undistort", "white", "workers")
+        same = ("kind", "root", "undistort", "white", "workers")
         images = CalibrationImages(**{name: getattr(self, name) for name in same})
         if self.kind == "scenes":
             return replace(
@@ -204,6 +204,7 @@ class DataConfig:
                 seed=matching(CALIBRATION, self.seed),
                 count=self.calibration,
                 distance=self.distance,
+                attitude_range_deg=self.attitude_range_deg,
                 **{kind: getattr(self, kind) > 0 for kind in VARIANTS},
             )
         if self.holdout:

@@ -7,17 +7,17 @@ their names in Python, and the network is ``model: {name: base, depth: 4}``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffpose._internal.files import read_text
 from ffpose._internal.options import check_spelling, join, restyle, split, wrong
-from ffpose.config import PRESETS
+from ffpose.config import PRESETS, looks_twice
 from ffpose.errors import DataError, require
 from ffpose.training import configs
-from ffpose.training.config import DataConfig, TrainConfig
+from ffpose.training.config import VARIANTS, DataConfig, TrainConfig
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser
@@ -36,6 +36,18 @@ LISTS = tuple(
     if "list" in str(field.type) or "tuple" in str(field.type)
 )
 """Options whose values may be lists."""
+
+
+RENDERED = ("scene", "count", "validation", "calibration", "empty", "decoys", "distance", "seed")
+HEEDED = {
+    "--data.kind scenes": tuple(
+        f"--data.{name}" for name in (*RENDERED, *VARIANTS, "attitude-range-deg")
+    ),
+    "a set on disk": ("--data.train-split", "--data.val-split"),
+    "a network that looks twice": ("--object-loss.", "--views."),
+    "a network that looks once": ("--loss.", "--data.augment"),
+}
+"""What options begin with that nothing else heeds; in a file they may stand beside it."""
 
 
 def add_fields(parser: ArgumentParser) -> None:
@@ -78,6 +90,36 @@ def read_words(words: Sequence[str]) -> list[str]:
     return found
 
 
+def expect_heeded(words: Sequence[str]) -> None:
+    """Check that no option is of other images or of another network than those that are chosen.
+
+    Raises:
+        argparse.ArgumentError: One is.
+    """
+    chosen = {"--data.kind": "", "--model": DEFAULT_MODEL}
+    for option, _, value in split(words):
+        if option == "--config":
+            chosen.update(_choices(check_document(read_text(configs.resolve(value)))))
+        elif option in chosen:
+            chosen[option] = value
+    kind, model = chosen.values()
+    others = {"a set on disk": kind} if kind == "scenes" else {"--data.kind scenes": kind}
+    once = model not in PRESETS or not looks_twice(PRESETS[model])
+    others[f"a network that looks {'twice' if once else 'once'}"] = model
+    for option, _, _ in split(words):
+        for other, got in others.items():
+            if got and option.startswith(HEEDED[other]):
+                raise wrong(f"{option}: expected with {other}, got it with {got}")
+
+
+def _choices(document: Any) -> Iterator[tuple[str, str]]:
+    """Yield the options of the kind of images and the network that a configuration chooses."""
+    for option, group, name in (("--data.kind", "data", "kind"), ("--model", "model", "name")):
+        fields = document.get(group) if isinstance(document, dict) else None
+        if isinstance(fields, dict) and name in fields:
+            yield option, str(fields[name])
+
+
 def _dest(option: str) -> str:
     """Return how jsonargparse knows an option, whose names of fields in mappings are Python's."""
     if option == "--model":
@@ -106,8 +148,8 @@ def _value(option: str, value: str) -> str:
     return f"[{value}]" if (nested or listed) and "," in value else value
 
 
-def check_document(text: str) -> None:
-    """Check that a configuration in YAML has the network's name and fields together."""
+def check_document(text: str) -> Any:
+    """Return a configuration in YAML, which must have the network's name and fields together."""
     try:
         document = require("jsonargparse", "pose").get_loader("yaml")(text)
     except Exception as error:  # that of the YAML package, which jsonargparse chooses
@@ -117,6 +159,7 @@ def check_document(text: str) -> None:
             if isinstance(document.get(name), kind):
                 expected = f"model: {{name: {DEFAULT_MODEL}, FIELD: VALUE}}"
                 raise wrong(f"expected {expected}, got {name}: {document[name]}")
+    return document
 
 
 def to_config(values: Mapping[str, Any]) -> TrainConfig:

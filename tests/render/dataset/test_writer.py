@@ -275,14 +275,16 @@ def test_lost_layer_is_written_again(tmp_path):
 
 def test_a_layer_that_was_cut_off_before_its_hash_was_known_is_written_again(tmp_path):
     labels = [*LAYERS, "coordinates"]
-    write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
+    write_dataset("soyuz_easy", tmp_path, 6, seed=7, size=SIZE, labels=labels)
     before = contents(tmp_path)
     manifest = json.loads(before["manifest.json"])
     (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"files": {}}))
     for name in ("0_mask.png", "1_keypoints.csv", "2_coordinates.png", "3_depth.png"):
         (tmp_path / name).write_bytes(before[name][: len(before[name]) // 2])
-    done = write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE, labels=labels)
-    assert (done.rendered, done.kept) == (4, 1)
+    *rows, _ = before["4_keypoints.csv"].splitlines(keepends=True)
+    (tmp_path / "4_keypoints.csv").write_bytes(b"".join(rows))
+    done = write_dataset("soyuz_easy", tmp_path, 6, seed=7, size=SIZE, labels=labels)
+    assert (done.rendered, done.kept) == (5, 1)
     assert contents(tmp_path) == before
 
 

@@ -608,6 +608,17 @@ def test_alpha_modes(tmp_path, mode, share):
     assert found == pytest.approx(share, abs=0.02)
 
 
+@pytest.mark.parametrize(("alpha", "factor", "share"), [(0.6, 1, 1), (0.6, 0.8, 0), (0.4, 1, 0)])
+def test_a_mask_has_all_or_nothing_of_vertices_with_alpha(tmp_path, alpha, factor, share):
+    """It is there from 0.5 on, of the product (section 3.9.4)."""
+    file = File()
+    file.attributes["COLOR_0"] = file.accessor(np.float32([(1, 1, 1, alpha)] * 4))
+    file.material(alphaMode="MASK", pbrMetallicRoughness={"baseColorFactor": [1, 1, 1, factor]})
+    found, _ = seen(file.load(tmp_path), samples=4)
+    full, _ = seen(File().load(tmp_path), samples=4)
+    assert found.color.shape[1] == share * full.color.shape[1]
+
+
 def test_one_sided_surfaces_are_gone_from_behind(tmp_path):
     behind = Pose((0.0, 0.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     file = File()

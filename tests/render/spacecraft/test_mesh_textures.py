@@ -203,6 +203,9 @@ def test_an_mtl_files_color_and_texture(tmp_path, paint, light):
         ("map_Ke two.png", "emission", (1, 1, 1)),  # Blender writes no Ke beside a texture
         ("d 0.25", "alpha", 0.25),
         ("Tr 0.75", "alpha", 0.25),
+        ("Tr 1.000000\nillum 2\nNs 0.000000", "alpha", 1),  # MeshLab's, of NASA's Hubble
+        ("d 0.000000\nillum 2\nmap_Kd two.png", "alpha", 1),  # Blender's, of NASA's Juno
+        ("d 0", "alpha", 0),
     ],
 )
 def test_an_mtl_files_numbers(tmp_path, paint, field, value):

@@ -334,22 +334,28 @@ def test_a_binary_stl_file_of_no_triangles_has_none(tmp_path):
     )
 
 
-def obj_of_colors():
-    lines = zip(POINTS.splitlines(), CORNER_COLORS, strict=True)
-    return "".join(f"{line} {r / 255} {g / 255} {b / 255}\n" for line, (r, g, b) in lines) + FACES
+def obj_of_colors(most=1):
+    colors = (" ".join(str(code * most / 255) for code in color) for color in CORNER_COLORS)
+    lines = zip(POINTS.splitlines(), colors, strict=True)
+    return "".join(f"{line} {color}\n" for line, color in lines) + FACES
 
 
-def ply_of_colors():
+def ply_of_colors(kind, most):
     head, _, rows = PLY.partition("end_header\n")
-    names = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
     lines = rows.splitlines()
     for number, color in enumerate(CORNER_COLORS):
-        lines[number] += " {} {} {}".format(*color)
+        lines[number] += "".join(f" {code * most / 255:.9g}" for code in color)
     head = head.replace("property float z\n", f"property float z\n{names}")
     return "\n".join([f"{head}end_header", *lines])
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.obj", obj_of_colors()), ("a.ply", ply_of_colors())])
+TYPES = (("uchar", 255), ("int", 255), ("ushort", 65535), ("float", 1), ("float", 255))
+COLORED = {f"{most}.obj": obj_of_colors(most) for most in (1, 255)}
+COLORED |= {f"{kind}-{most}.ply": ply_of_colors(kind, most) for kind, most in TYPES}
+
+
+@pytest.mark.parametrize(("name", "text"), COLORED.items(), ids=COLORED)
 def test_vertices_have_their_colors(tmp_path, name, text):
     path = tmp_path / name
     path.write_text(text)
@@ -373,6 +379,13 @@ def test_an_stl_text_is_read(tmp_path, code):
     np.testing.assert_array_equal(shape(tmp_path, "text.stl", content), triangles)
     assert "cut short" in refused(tmp_path, "cut.stl", content[:-20])[1]
     assert "cut short" in refused(tmp_path, "second.stl", content + content[:-20])[1]
+
+
+@pytest.mark.parametrize("count", [2, 4, 6])
+def test_facets_of_an_stl_text_that_are_no_triangles_are_refused(tmp_path, count):
+    loop = "facet normal 0 0 1\nouter loop\n" + "vertex 0 0 1\n" * count + "endloop\nendfacet\n"
+    expected = f"expected three vertices of each triangle, got {count}"
+    assert refused(tmp_path, "a.stl", f"solid a\n{loop * 3}endsolid a\n") == (None, expected)
 
 
 def test_faces_without_texture_coordinates_leave_the_others_theirs(tmp_path):
@@ -422,13 +435,14 @@ def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, c
     (tmp_path / "paint").mkdir()
     Image.new("RGB", (4, 2), "red").save(tmp_path / "paint" / "solar panel.png")
     Image.new("RGB", (2, 2), "red").save(tmp_path / "panel.png")
-    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on -blendu off solar panel.png\n"
+    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on -blendu off -colorspace sRGB solar panel.png\n"
     (tmp_path / "paint" / "a.mtl").write_text(line)
     text = "mtllib paint/a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
     (tmp_path / "a.obj").write_text(text)
     image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
     assert (image.width, image.height) == (4, 2)
-    assert "a.obj: options of a texture are left out: -blendu off\n" in caplog.text
+    left_out = "-blendu off -colorspace sRGB"
+    assert f"a.obj: options of a texture are left out: {left_out}\n" in caplog.text
 
 
 def test_options_of_textures_scale_move_and_clamp_them(tmp_path):

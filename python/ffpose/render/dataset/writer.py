@@ -225,26 +225,27 @@ def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> dict[int,
     for path in parts(job.folder, indices):
         part = Manifest.read(path)
         known |= part.files if part else {}
-    valid = {}
+    valid, points = {}, len(job.scene.build().keypoints)
     for index in indices:
         try:
             digests = _digests(job, index)
         except FileNotFoundError:
             continue
         if all(
-            known[name] == digest if name in known else readable(job.folder / name, job.size)
-            for name, digest in digests.items()
+            known[name] == its if name in known else readable(job.folder / name, job.size, points)
+            for name, its in digests.items()
         ):
             valid[index] = digests
     return valid
 
 
-def readable(path: Path, size: tuple[int, int]) -> bool:
-    """Return whether a file is a whole image of a size ``(width, height)``, or a whole table."""
+def readable(path: Path, size: tuple[int, int], rows: int = 0) -> bool:
+    """Return whether a file is a whole image ``(width, height)``, or a table of so many rows."""
     from ffpose.imaging.images import open_image
 
     if path.suffix == ".csv":
-        return path.read_bytes().endswith(b"\n")
+        content = path.read_bytes()
+        return content.endswith(b"\n") and content.count(b"\n") == 1 + rows
     try:
         with open_image(path) as image:
             image.load()

@@ -147,8 +147,7 @@ def _part(shape: Shape, materials: Materials, number: int | None, item: Placed) 
     if colors is not None:  # within 0…1 once all morph targets have moved them (section 3.7.2.1)
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
         colors = np.tile(np.nan_to_num(colors).clip(0, 1), (item.copies, 1))
-        if materials.opaque(number):
-            colors[:, 3] = 1
+        colors[:, 3] = materials.alphas(number, colors[:, 3])
     vertices, faces = vertices.reshape(-1, 3), faces.reshape(-1, CORNERS)
     return Part(vertices, faces, material, normals, colors, tuple(layers))
 

@@ -105,9 +105,13 @@ class Materials:
             self._made[number] = self._make(self._given[number], maps), sources
         return self._made[number]
 
-    def opaque(self, number: int | None) -> bool:
-        """Return whether a material has no use for alpha."""
-        return bool(self._given[number].get("alphaMode", "OPAQUE") == "OPAQUE")
+    def alphas(self, number: int | None, given: Floats) -> Floats:
+        """Return what alphas (V,) of vertices are in a material: those of a mask are 0 or 1."""
+        header = self._given[number]
+        if header.get("alphaMode", "OPAQUE") == "OPAQUE":
+            return np.ones_like(given)
+        cutoff = _cutoff(header)
+        return given if cutoff is None else (given >= cutoff).astype(np.float32)
 
     def _make(self, header: Header, maps: dict[str, Any]) -> Material:
         extensions = header.get("extensions", {})

@@ -25,7 +25,7 @@ from ffpose.render.spacecraft.stl import read_stl
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf")
 MAX_FACES = 2_000_000
 
-READING = 7
+READING = 8
 """Version of how files are read; images of a file that was read otherwise are rendered again."""
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]

@@ -26,7 +26,8 @@ logger = logging.getLogger(__name__)
 Fields = Mapping[str, str]
 """What follows the keywords of a material, which are in small letters."""
 
-OPTION = r"-[a-z]+(?:\s+(?:[-+.\d][-+.\de]*|on|off|[rgbmlz]))+\s+"
+VALUES = r"(?:\s+(?:[-+.\d][-+.\de]*|on|off|[rgbmlz]))+"
+OPTION = rf"(?:-colorspace\s+\S+|-[a-z]+{VALUES})\s+"
 OPTIONS = re.compile(rf"^(?:{OPTION})+")
 """What stands before a texture's name."""
 
@@ -129,7 +130,7 @@ class MtlMaterials:
         gloss = max(_number_of(fields, "ns", 0.0), 0.0)
         rough = (2 / (gloss + 2)) ** 0.25 if "ns" in fields else ROUGHNESS
         rough = _number_of(fields, "pr", rough)
-        alpha = _number_of(fields, "d", 1 - _number_of(fields, "tr", 0.0))
+        alpha = _alpha(fields)
         # Exporters write no emission beside a texture of it.
         glow = _color(fields, "ke", float("map_ke" in maps))
         shine = _color(fields, "ks", 0.5)
@@ -158,6 +159,14 @@ def _base(fields: Fields, colored: bool) -> NDArray[np.float64]:
     color = _color(fields, "kd", 1.0 if white else GRAY)
     # Exporters write black beside a texture to be seen as it is.
     return color if color.any() or "map_kd" not in fields else np.ones(3)
+
+
+def _alpha(fields: Fields) -> float:
+    """Return the alpha that that of a texture of color is multiplied by."""
+    alpha = _number_of(fields, "d", 1 - _number_of(fields, "tr", 0.0))
+    # MeshLab writes opacity as Tr, and Blender zero beside a texture to have the alpha of that.
+    seen = alpha > 0 or ("d" in fields and "map_kd" not in fields)
+    return alpha if seen else 1.0
 
 
 def _color(fields: Fields, key: str, missing: float) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.meshassets import Assets, as_utf8
 from ffpose.render.spacecraft.mtl import MtlMaterials, read_libraries
-from ffpose.render.spacecraft.parts import Part, check_finite, light, unit_normals
+from ffpose.render.spacecraft.parts import Part, check_finite, fractions, light, unit_normals
 from ffpose.render.spacecraft.polygons import triangulated
 
 logger = logging.getLogger(__name__)
@@ -109,7 +109,7 @@ class _Shape:
             elif key == b"mtllib":
                 self.libraries.append(rest.strip().decode(errors="replace"))
         self.points = np.array(self._numbers[b"v"]).reshape(-1, 3)
-        self.colors = np.array(self._numbers[COLORS]).reshape(-1, 3)
+        self.colors = fractions(np.array(self._numbers[COLORS]).reshape(-1, 3))
         self.places = np.append(self._numbers[b"vt"], [0, 0]).reshape(-1, 2)
         self.normals = np.append(self._numbers[b"vn"], np.full(3, np.nan)).reshape(-1, 3)
 

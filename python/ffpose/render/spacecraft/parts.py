@@ -95,6 +95,14 @@ def light(codes: ArrayLike) -> Floats:
     return np.pad(values, ((0, 0), (0, 1)), constant_values=1)
 
 
+def fractions(codes: NDArray[Any]) -> NDArray[Any]:
+    """Return sRGB codes as 0…1: whole ones, or those beyond it, are of 8 bits or of 16."""
+    largest = codes.max(initial=0, where=np.isfinite(codes))
+    if codes.dtype.kind == "f" and largest < 2:
+        return codes
+    return np.asarray(codes / (255 if largest <= 255 else 65535))
+
+
 def unit_normals(vectors: NDArray[np.float64]) -> Floats:
     """Return vectors (N, 3) of length one, NaN where they have none."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.meshassets import Assets
 from ffpose.render.spacecraft.mtl import MtlMaterials
-from ffpose.render.spacecraft.parts import Part, check_shape, light, unit_normals
+from ffpose.render.spacecraft.parts import Part, check_shape, fractions, light, unit_normals
 from ffpose.render.spacecraft.polygons import triangulated
 
 logger = logging.getLogger(__name__)
@@ -244,8 +244,7 @@ def _colors(values: Any, names: Collection[str]) -> NDArray[np.float32] | None:
     """Return the linear colors (N, 4) of rows, None where they have none."""
     if not set(RGB) <= set(names):
         return None
-    codes = _stacked(values, RGB)
-    return light(np.nan_to_num(codes) / (1 if codes.dtype.kind == "f" else 255))
+    return light(np.nan_to_num(fractions(_stacked(values, RGB))))
 
 
 def _triangles(rows: NDArray[np.void], points: NDArray[np.float64]) -> Triangles:

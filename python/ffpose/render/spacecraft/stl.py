@@ -26,6 +26,9 @@ SOLID = re.compile(rb"(?im)^[ \t]*(?:end)?solid\b[^\r\n]*")
 VERTEX = re.compile(rb"(?i)\bvertex\b[ \t]*([^\r\n]*)")
 """A vertex, and the rest of its line."""
 
+LOOP = re.compile(rb"(?i)\bouter\s+loop\b")
+"""What the vertices of a triangle follow."""
+
 HEAD = 84
 """Bytes of a binary file before its triangles."""
 
@@ -52,10 +55,10 @@ def read_stl(content: bytes) -> list[Part]:
     elif (solid := _solid(content)) is not None:
         if b"outer loop" in solid.lower().rpartition(b"endsolid")[2]:
             raise DataError("expected endsolid, got none: the file is cut short")
-        found = VERTEX.findall(SOLID.sub(b"", solid))
-        if len(found) % 3:
-            raise DataError(f"expected three vertices of each triangle, got {len(found)} vertices")
-        points = np.array([_coordinates(rest) for rest in found]).reshape(-1, 3)
+        _, *loops = map(VERTEX.findall, LOOP.split(SOLID.sub(b"", solid)))
+        if others := {len(loop) for loop in loops} - {3}:
+            raise DataError(f"expected three vertices of each triangle, got {min(others)}")
+        points = np.array([_coordinates(rest) for loop in loops for rest in loop]).reshape(-1, 3)
     else:
         raise _other_size(len(content), stated)
     vertices = points.reshape(-1, 3).astype(np.float64)
