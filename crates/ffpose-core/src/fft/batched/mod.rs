@@ -39,25 +39,21 @@ pub(crate) struct Batched<T> {
 
 /// Whether images are filtered several together. One alone takes as long as all of them, so that large ones are not.
 pub(super) fn pays<T: Element>(isa: Isa, shape: Shape, tuning: &Tuning) -> bool {
-    let Shape { layout, rows, columns, lanes: channels } = shape;
-    let lanes = isa.lanes::<T>();
+    let Shape { layout, rows, columns, .. } = shape;
+    let (channels, lanes) = (shape.channels(), isa.lanes::<T>());
     match layout {
+        _ if rows == 1 => channels < lanes && columns <= tuning.batched_sequence * channels,
         // two columns fill a small part of the vectors across them
         Layout::Tokens => columns <= 2 && rows <= tuning.batched_sequence,
-        Layout::Grid if rows == 1 => {
-            channels < lanes && columns <= tuning.batched_sequence * channels
-        }
         Layout::Grid => channels < lanes && rows * columns <= tuning.batched_plane * channels,
     }
 }
 
-/// Whether tokens for which there are no codelets are filtered several images together: in batches of 64 and more, squares of vectors
-/// or `RustFFT` take 3 to 10 times as long, and longer than `torch.fft`. One alone takes up to twice as long, so that those of more points,
-/// half of what a grid of one channel may have, are not.
+/// Whether tokens of several rows for which there are no codelets are filtered several images together: in batches of 64 and more,
+/// squares of vectors or `RustFFT` take 3 to 10 times as long, and longer than `torch.fft`. One alone takes up to twice as long, so that
+/// those of more points, half of what a grid of one channel may have, are not.
 pub(super) fn pays_without_codelets(shape: Shape, tuning: &Tuning) -> bool {
-    let Shape { layout, rows, columns, .. } = shape;
-    let most = if rows == 1 { tuning.batched_sequence } else { tuning.batched_plane };
-    layout == Layout::Tokens && 2 * rows * columns <= most
+    shape.layout == Layout::Tokens && 2 * shape.rows * shape.columns <= tuning.batched_plane
 }
 
 /// What filters several images as one.
