@@ -430,6 +430,9 @@ def test_debug_shows_the_traceback(tmp_path):
         main(["predict", str(tmp_path / "none.safetensors"), "a.png", "--debug"])
 
 
+RENDER = ["render", "soyuz_easy", "--out", "x", "--count", "1"]
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -442,6 +445,10 @@ def test_debug_shows_the_traceback(tmp_path):
         (["card", "soyuz", "--scene", "soyuz_easy", "--count", "0"], "count: expected at"),
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
+        ([*RENDER, "--jpeg", "101"], "jpeg_quality: expected 0…100, got 101"),
+        ([*RENDER, "--motion", "-1"], "motion_px: expected 0…200"),
+        ([*RENDER, "--randomize", "2"], "randomize: expected a number from 0 to 1, got 2.0"),
+        ([*RENDER, "--attitude-range", "9", "99", "9"], "attitude_range_deg: expected (roll, pi"),
     ],
 )
 def test_a_value_that_cannot_be_is_wrong_usage(words, line, tmp_path, monkeypatch, capsys):

@@ -80,6 +80,8 @@ def wrong(message: str) -> argparse.ArgumentError:
 def is_usage(error: Exception, usage: str) -> bool:
     """Return whether an error is about the value of an argument that a parser's usage names.
 
+    A unit may follow the name, as in ``attitude_range_deg``.
+
     Examples:
         >>> is_usage(ValueError("count: expected at least 1, got 0"), "[--count COUNT]")
         True
@@ -89,8 +91,9 @@ def is_usage(error: Exception, usage: str) -> bool:
     found = re.match(r"(?:--)?([\w.-]+): expected", str(error))
     if found is None or not isinstance(error, ValueError) or isinstance(error, DataError):
         return False
-    known = re.findall(r"[a-z][\w.-]*", usage)
-    return found[1].replace("_", "-") in {name.replace("_", "-") for name in known}
+    name = found[1].replace("_", "-")
+    known = (each.replace("_", "-") for each in re.findall(r"[a-z][\w.-]*", usage))
+    return any(name == each or name.startswith(f"{each}-") for each in known)
 
 
 def positionals_first(words: Sequence[str], flags: Collection[str]) -> list[str]:

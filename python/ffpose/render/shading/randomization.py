@@ -37,7 +37,11 @@ class Randomization:
 
     @classmethod
     def of_strength(cls, strength: float) -> Randomization:
-        """Set every kind at once: 0 is none, 1 is one stop each and no real background."""
+        """Set every kind at once: 0 is none, 1 is one stop each and no real background.
+
+        A ValueError beyond these.
+        """
+        expect(0 <= strength <= 1, "randomize", "a number from 0 to 1", strength)
         return cls(strength, strength, strength, strength)
 
 
