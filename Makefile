@@ -106,6 +106,8 @@ weights: runs/soyuz/.trained runs/dragon/.trained runs/generic.safetensors ## tr
 runs/generic.safetensors: runs/soyuz/.trained
 	$(BIN)/python -m studies.generic --out $@ --init runs/soyuz/last.safetensors
 
+runs/soyuz/.trained: runs/soyuz-first/.trained
+
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume
 	@touch $@

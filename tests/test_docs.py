@@ -70,7 +70,7 @@ def test_shell_blocks_are_valid(block):
             compile(programs[0], "page.md", "exec")
 
 
-WRITTEN = {"runs/satellite/second/config.yaml": "configs/soyuz.yaml"}
+WRITTEN = {"runs/satellite/second/config.yaml": "configs/dragon.yaml"}
 """Files that an earlier command of a page writes, and such a file of the checkout."""
 
 

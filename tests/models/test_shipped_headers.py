@@ -28,10 +28,10 @@ from ffpose.training.provenance import recipe, rendered_sets
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_ON = {"dragon": "dragon_hard", "soyuz": "soyuz_hard"}
+TRAININGS = {"dragon": ["dragon.yaml"], "soyuz": ["soyuz.yaml", "soyuz-first.yaml"]}
 SAME = (
     "model",
     "model_fields",
-    "epochs",
     "stages",
     "batch_size",
     "ema",
@@ -72,19 +72,37 @@ def test_the_sets_in_the_header_have_the_mean_pose_in_the_header(name):
     )
 
 
+def trainings(header):
+    """Return recipe and data of each training that the weights had, the last first."""
+    found, data = header.recipe, header.data
+    yield found, data
+    while found["init"] is not None:
+        found, data = found["init"]["recipe"], found["init"]["data"]
+        yield found, data
+
+
+def resolved(recipe):
+    """Return a recipe whose first stage has the epochs that were asked for."""
+    first, *others = recipe["stages"]
+    epochs = first["epochs"] if recipe["epochs"] is None else recipe["epochs"]
+    return recipe | {"stages": [first | {"epochs": epochs}, *others]}
+
+
 @pytest.mark.parametrize("name", CALIBRATED_ON)
-def test_the_training_in_the_header_is_that_of_the_configuration(name):
-    """One training, which began with random weights."""
+def test_the_trainings_in_the_header_are_those_of_the_configurations(name):
+    """The first of them began with random weights."""
     header = read_metadata(name)
-    config = load_config(CONFIGS / f"{name}.yaml")
-    got, expected = header.recipe, json.loads(json.dumps(recipe(config, None)))
-    assert [got[field] for field in SAME] == [expected[field] for field in SAME]
-    assert got["init"] is None
-    # The shipped weights were calibrated once more, on as many images as the configurations say.
-    assert got["data"] | {"calibration": 0} == expected["data"] | {"calibration": 0}
-    assert {each["count"] for each in header.calibration["images"]} == {config.data.calibration}
-    assert header.data["sets"] == rendered_sets(config.data)["sets"]
-    assert all(part["seed"] in TRAINING for part in header.data["sets"])
+    assert {each["count"] for each in header.calibration["images"]} == {600}
+    given = list(trainings(header))
+    assert len(given) == len(TRAININGS[name])
+    for (got, data), file in zip(given, TRAININGS[name], strict=True):
+        config = load_config(CONFIGS / file)
+        got, expected = resolved(got), resolved(json.loads(json.dumps(recipe(config, None))))
+        assert [got[field] for field in SAME] == [expected[field] for field in SAME]
+        # Weights were calibrated once more, on as many images as the configurations say.
+        assert got["data"] | {"calibration": 600} == expected["data"]
+        assert data["sets"] == rendered_sets(config.data)["sets"]
+        assert all(part["seed"] in TRAINING for part in data["sets"])
 
 
 @pytest.mark.parametrize("name", CALIBRATED_ON)

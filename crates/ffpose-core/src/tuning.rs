@@ -21,7 +21,7 @@ pub const SCRATCH_KEPT: usize = 64 << 20;
 /// The same for each core of a process that uses all of them: what one call takes there.
 pub const SCRATCH_KEPT_FOR_A_CORE: usize = 4 << 20;
 
-/// Bytes of the plans that a process keeps for its next calls, by an upper estimate of each: that of a plane of 2800×2800.
+/// Bytes of the plans that a process keeps for its next calls, by an upper estimate of each: that of a plane of 2880×2880.
 pub const PLANS_KEPT: usize = 256 << 20;
 
 /// The same of each thread, which finds these without a lock.
