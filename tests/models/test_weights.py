@@ -292,10 +292,12 @@ def test_another_format(other, path):
 
 @pytest.mark.parametrize("name", zoo.names())
 def test_shipped_weights_know_images_of_landscape_format(name):
-    """They were trained on images of 512 x 384 pixels."""
+    """They were trained on images of URSO's camera: 4 : 3, and 90 degrees across."""
     metadata = read_metadata(name)
-    assert metadata.data["image_size"] == [384, 512]
-    assert (metadata.camera.width, metadata.camera.height) == (512, 384)
+    height, width = metadata.data["image_size"]
+    assert 4 * height == 3 * width
+    assert (metadata.camera.width, metadata.camera.height) == (width, height)
+    assert metadata.camera.fx == width / 2
 
 
 def test_weights_of_another_network(path):
