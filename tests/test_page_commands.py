@@ -66,7 +66,7 @@ SMALL = {
     shlex.join(options_of(URSONET)): shlex.join(options_of({**SMALL_URSONET, **INPUT})),
     "configs/paper/filterformerpose-n5.yaml": "configs/paper/filterformerpose-n5.yaml --model tiny",
     "configs/soyuz-first.yaml": f"configs/soyuz-first.yaml {VIEWS}",
-    "configs/soyuz.yaml": f"configs/soyuz.yaml {VIEWS} --processes 1",
+    "configs/soyuz.yaml": f"configs/soyuz.yaml {VIEWS}",
     "configs/dragon.yaml": f"configs/dragon.yaml {VIEWS}",
     "--count 60": "--count 2 --size 64x48",
     "--data.count 200": "--data.count 2",

@@ -82,10 +82,11 @@ def trainings(header):
 
 
 def resolved(recipe):
-    """Return a recipe whose first stage has the epochs that were asked for."""
+    """Return a recipe with the epochs that were asked for, and the images of each step."""
     first, *others = recipe["stages"]
     epochs = first["epochs"] if recipe["epochs"] is None else recipe["epochs"]
-    return recipe | {"stages": [first | {"epochs": epochs}, *others]}
+    images = recipe["batch_size"] * recipe["processes"]
+    return recipe | {"stages": [first | {"epochs": epochs}, *others], "batch_size": images}
 
 
 @pytest.mark.parametrize("name", CALIBRATED_ON)

@@ -297,7 +297,8 @@ def test_shipped_weights_know_images_of_landscape_format(name):
     height, width = metadata.data["image_size"]
     assert 4 * height == 3 * width
     assert (metadata.camera.width, metadata.camera.height) == (width, height)
-    assert metadata.camera.fx == width / 2
+    assert metadata.camera.fx == metadata.camera.cx == width / 2
+    assert metadata.preprocessing.size == (384, 512)
 
 
 def test_weights_of_another_network(path):

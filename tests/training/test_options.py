@@ -92,6 +92,13 @@ def test_a_file_has_fields_of_other_images_and_networks_too(tmp_path):
     assert (tuned.data.kind, tuned.data.val_split, tuned.views.jpeg) == ("csv", "b", 0.5)
     assert parsed("--config", str(path), "--model", "tiny", "--loss.s-t", "0").views.jpeg == 0.5
     assert parsed(*CSV, "--config", str(path), "--data.count", "5").data.counts == [5]
+    assert parsed("--model.name", "polar", *CSV, "--views.jpeg", "0.2").views.jpeg == 0.2
+    other = tmp_path / "data.yaml"
+    other.write_text("kind: csv\nroot: real\n")
+    files = ["--config", str(path), "--data", str(other)]
+    assert parsed(*files, "--data.val-split", "b").data.val_split == "b"
+    with pytest.raises(ArgumentError, match=r"--data\.count: expected with --data\.kind s"):
+        parsed(*files, "--data.count", "5")
 
 
 def test_what_is_true_is_a_switch():

@@ -77,23 +77,29 @@ def wrong(message: str) -> argparse.ArgumentError:
     return argparse.ArgumentError(None, message)
 
 
+UNITS = ("-deg", "-px", "-quality")
+"""What the name of a field may have after that of its option."""
+
+
 def is_usage(error: Exception, usage: str) -> bool:
     """Return whether an error is about the value of an argument that a parser's usage names.
 
-    A unit may follow the name, as in ``attitude_range_deg``.
+    One of `UNITS` may follow the name, as in ``attitude_range_deg``.
 
     Examples:
         >>> is_usage(ValueError("count: expected at least 1, got 0"), "[--count COUNT]")
         True
         >>> is_usage(ValueError("depth: expected at least 1, got 0"), "[--count COUNT]")
         False
+        >>> is_usage(ValueError("count_deg: expected at least 1, got 0"), "[--count COUNT]")
+        True
     """
     found = re.match(r"(?:--)?([\w.-]+): expected", str(error))
     if found is None or not isinstance(error, ValueError) or isinstance(error, DataError):
         return False
     name = found[1].replace("_", "-")
-    known = (each.replace("_", "-") for each in re.findall(r"[a-z][\w.-]*", usage))
-    return any(name == each or name.startswith(f"{each}-") for each in known)
+    known = {each.replace("_", "-") for each in re.findall(r"[a-z][\w.-]*", usage)}
+    return any(name.removesuffix(unit) in known for unit in ("", *UNITS))
 
 
 def positionals_first(words: Sequence[str], flags: Collection[str]) -> list[str]:

@@ -96,16 +96,19 @@ def expect_heeded(words: Sequence[str]) -> None:
     Raises:
         argparse.ArgumentError: One is.
     """
-    chosen = {"--data.kind": "", "--model": DEFAULT_MODEL}
+    chosen = {"--data.kind": "", "--model.name": DEFAULT_MODEL}
     for option, _, value in split(words):
-        if option == "--config":
+        if option == "--config" and value:
             chosen.update(_choices(check_document(read_text(configs.resolve(value)))))
-        elif option in chosen:
-            chosen[option] = value
+        elif option == "--data" and value:
+            chosen.update(_choices({"data": check_document(read_text(Path(value)))}))
+        elif _dest(option) in chosen:
+            chosen[_dest(option)] = value
     kind, model = chosen.values()
     others = {"a set on disk": kind} if kind == "scenes" else {"--data.kind scenes": kind}
-    once = model not in PRESETS or not looks_twice(PRESETS[model])
-    others[f"a network that looks {'twice' if once else 'once'}"] = model
+    if model in PRESETS:
+        times = "once" if looks_twice(PRESETS[model]) else "twice"
+        others[f"a network that looks {times}"] = model
     for option, _, _ in split(words):
         for other, got in others.items():
             if got and option.startswith(HEEDED[other]):
@@ -114,10 +117,10 @@ def expect_heeded(words: Sequence[str]) -> None:
 
 def _choices(document: Any) -> Iterator[tuple[str, str]]:
     """Yield the options of the kind of images and the network that a configuration chooses."""
-    for option, group, name in (("--data.kind", "data", "kind"), ("--model", "model", "name")):
+    for group, name in (("data", "kind"), ("model", "name")):
         fields = document.get(group) if isinstance(document, dict) else None
         if isinstance(fields, dict) and name in fields:
-            yield option, str(fields[name])
+            yield f"--{group}.{name}", str(fields[name])
 
 
 def _dest(option: str) -> str:

@@ -79,7 +79,7 @@ def describe_data(
 ) -> dict[str, Any]:
     """Describe a run's images: name, sets, size; number, mean and digest of labels ``(N, 7)``."""
     size = images.image_size
-    if config.kind == "scenes":  # whose images are rendered at the network's size
+    if config.kind == "scenes":  # whose images may be rendered smaller than the set's
         camera = find_scene(config.scenes[0]).camera
         size = camera.height, camera.width
     return {
