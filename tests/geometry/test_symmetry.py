@@ -87,7 +87,7 @@ def test_the_nearest_attitude_of_one_look_is_found_by_trying_all(axes):
 
 @pytest.mark.parametrize("flip", [[], [((0.8, 0.0, -0.6), 2)]])
 def test_errors_modulo_any_angle_are_those_of_a_fine_search(flip):
-    """Of a hundredth of a degree; of a rotation of the object about the axis nothing is left."""
+    """The search has steps of 0.01°; a rotation of the object about the axis counts as no error."""
     axis = np.array([0.6, 0.0, 0.8])
     symmetry, q_hat, q = group((axis.tolist(), 0), *flip), quaternions(12), quaternions(12, 1)
     found = symmetry.nearest(3 * q_hat, q)  # of any norm

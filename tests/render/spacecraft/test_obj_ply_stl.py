@@ -196,7 +196,7 @@ def test_a_ply_text_has_no_widths_and_what_is_not_read_may_be_anything(tmp_path,
 
 
 def test_a_ply_text_has_polygons_of_any_number_of_corners(tmp_path):
-    """Of a disk of 300, more than the type of their number holds in binary."""
+    """Here 300, which the type of the count, ``uchar``, could not hold in a binary file."""
     angles = np.arange(300) * (2 * np.pi / 300)
     rows = "".join(f"{np.cos(a)} {np.sin(a)} 0\n" for a in angles)
     head = PLY[: PLY.index("0 0 0\n")].replace("vertex 4", "vertex 300").replace("face 4", "face 1")
@@ -386,6 +386,12 @@ def test_facets_of_an_stl_text_that_are_no_triangles_are_refused(tmp_path, count
     loop = "facet normal 0 0 1\nouter loop\n" + "vertex 0 0 1\n" * count + "endloop\nendfacet\n"
     expected = f"expected three vertices of each triangle, got {count}"
     assert refused(tmp_path, "a.stl", f"solid a\n{loop * 3}endsolid a\n") == (None, expected)
+
+
+def test_vertices_of_an_stl_text_outside_a_loop_are_refused(tmp_path):
+    facet = "facet normal 0 0 1\n" + "vertex 0 0 1\n" * 3 + "endfacet\n"
+    expected = "expected the vertices of each triangle in an outer loop, got some outside"
+    assert refused(tmp_path, "a.stl", f"solid a\n{facet}endsolid a\n") == (None, expected)
 
 
 def test_faces_without_texture_coordinates_leave_the_others_theirs(tmp_path):

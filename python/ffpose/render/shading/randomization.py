@@ -39,7 +39,8 @@ class Randomization:
     def of_strength(cls, strength: float) -> Randomization:
         """Set every kind at once: 0 is none, 1 is one stop each and no real background.
 
-        A ValueError beyond these.
+        Raises:
+            ValueError: ``strength`` is not from 0 to 1.
         """
         expect(0 <= strength <= 1, "randomize", "a number from 0 to 1", strength)
         return cls(strength, strength, strength, strength)

@@ -57,7 +57,9 @@ def read_stl(content: bytes) -> list[Part]:
             raise DataError("expected endsolid, got none: the file is cut short")
         outside, *loops = map(VERTEX.findall, LOOP.split(SOLID.sub(b"", solid)))
         if outside:
-            raise DataError("expected the vertices of each triangle in an outer loop, got none")
+            raise DataError(
+                "expected the vertices of each triangle in an outer loop, got some outside"
+            )
         if others := {len(loop) for loop in loops} - {3}:
             raise DataError(f"expected three vertices of each triangle, got {min(others)}")
         points = np.array([_coordinates(rest) for loop in loops for rest in loop]).reshape(-1, 3)
